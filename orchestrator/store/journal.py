@@ -3,7 +3,6 @@
 import getpass
 import os
 import sqlite3
-import struct
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -190,10 +189,6 @@ class Journal:
         SQLite continues from its memory: it would write over the gap, and find it, if at all, after the certificate.
         """
         now = _states(self.directory)
-        log = self.directory / f"{DATABASE}-wal"
-        if log in self._seen:
-            device, inode, size = self._seen[log]
-            self._seen[log] = (device, inode, max(size, _log_bytes(self.directory)))
         for path, (device, inode, size) in self._seen.items():
             if now.get(path, (0, 0, 0))[:2] != (device, inode):
                 raise JournalError(
@@ -232,22 +227,13 @@ def _unlinked(path: Path) -> Path:
 
 def _states(directory: Path) -> dict[Path, tuple[int, int, int]]:
     """Return device, inode and size of the database and its log; while it is open neither gets smaller."""
+    # Never by opening them: the close of any descriptor of a file takes the locks of SQLite from this process.
     found = {}
     for path in (directory / DATABASE, directory / f"{DATABASE}-wal"):
         with suppress(OSError):  # missing
             state = os.stat(path)
             found[path] = (state.st_dev, state.st_ino, state.st_size)
     return found
-
-
-def _log_bytes(directory: Path) -> int:
-    """Return the least size of the write-ahead log: a head of 32 bytes, and the frames that its index counts."""
-    try:
-        with open(directory / f"{DATABASE}-shm", "rb") as index:
-            page, frames = struct.unpack_from("=HI", index.read(20), 14)  # szPage and mxFrame of the WalIndexHdr
-    except (OSError, struct.error):  # SQLite makes it anew
-        return 0
-    return int(32 + frames * ((65536 if page == 1 else page) + 24))
 
 
 def _position(connection: Connection, directory: Path) -> tuple[int, int]:

@@ -44,7 +44,7 @@ def certificate(directory: Path) -> bytes:
 def test_the_certificate_names_the_code(ended: Ended, folder: Path) -> None:
     assert ended.code == 0, ended.err
     claim = next(line for line in ended.out.splitlines() if line.startswith("CLAIM"))
-    assert claim.startswith("CLAIM  worst expected robustness over all starts >= ")
+    assert claim.startswith("CLAIM  worst expected robustness, clipped to [-20, 60], over all starts >= ")
     assert claim.endswith(" m"), "the unit of distance, the only column of the specification"
     command = ended.out.splitlines()[-1].removeprefix("check it ").split()
     assert command[:2] + command[3:6] == ["perfbound", "verify", "--resimulate", "5", "--system"]

@@ -323,6 +323,22 @@ def test_a_table_with_the_columns_of_no_version_is_not_perfbound_s(journal: Jour
 # Unusable databases
 
 
+def test_the_locks_of_the_database_are_kept_while_it_is_open(journal: Journal, tmp_path: Path) -> None:
+    """Another process that finds none of them begins the index of the log anew, below our feet: SIGBUS."""
+    for fact in FACTS[:2]:
+        with journal.transaction():
+            journal.add(fact)
+    journal.check_place()
+    takes = (  # the lock of a connection on the index (`os_unix.c`: UNIX_SHM_DMS), and the shared one on the database
+        "import fcntl, sys\n"
+        "fcntl.lockf(open(sys.argv[1], 'r+b'), fcntl.LOCK_EX | fcntl.LOCK_NB, 1, int(sys.argv[2]))"
+    )
+    for name, byte in ((f"{DATABASE}-shm", 128), (DATABASE, 0x40000002)):
+        line = [sys.executable, "-c", takes, str(tmp_path / name), str(byte)]
+        ended = subprocess.run(line, capture_output=True, text=True, check=False)
+        assert "BlockingIOError" in ended.stderr, f"{name}: no lock"
+
+
 def test_a_newer_schema_is_refused(journal: Journal, tmp_path: Path) -> None:
     journal.close()
     edit(tmp_path, f"UPDATE schema SET version = {SCHEMA_VERSION + 1}")
