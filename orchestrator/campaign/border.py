@@ -1,11 +1,16 @@
 """The border of a ledger: every check before a rollout becomes a fact, so that no fact stops the campaign."""
 
+from typing import Literal
+
 from ...schemas.errors import EvidenceError, PerfboundError, UnusableTrajectoryError
 from ...schemas.ids import RolloutId
 from ...schemas.trajectory import Trajectory
 from .ledger import Ledger
 from .objectives import measured
 from .observation import Others
+
+Compared = Literal["alone", "first of a pair", "same"]
+"""The time grid of a result: of a rollout without partner, of one whose partner comes, or that of a recorded one."""
 
 
 class Admission:
@@ -15,25 +20,26 @@ class Admission:
         self._ledger = ledger
         self.columns = tuple(column.name for column in ledger.header.spec.columns)
 
-    def check(self, rollout: RolloutId, trajectory: Trajectory) -> bool:
+    def check(self, rollout: RolloutId, trajectory: Trajectory) -> Compared:
         """Refuse a trajectory from which the objective cannot be computed; see `admit`.
 
-        Return whether it is the first of a pair, so that its time grid has been compared with no other one.
+        Return with how much its time grid has been compared.
         """
         if self._ledger.restores(rollout):
-            return False  # its digest decides: it was recorded, and perhaps observed
-        unpaired = False
+            return "same"  # its digest decides: it was recorded, and perhaps observed
+        compared: Compared = "alone"
 
         def others(key: tuple[str, int]) -> list[Trajectory]:
-            nonlocal unpaired
+            nonlocal compared
             found = self._others(rollout, key)
-            unpaired |= not found
+            if compared != "first of a pair":
+                compared = "same" if found else "first of a pair"
             return found
 
         fault = objective_fault(self._ledger, rollout, trajectory, others)
         if fault is not None:
             raise UnusableTrajectoryError(f"the objective cannot be computed: {fault}")
-        return unpaired
+        return compared
 
     def _others(self, rollout: RolloutId, key: tuple[str, int]) -> list[Trajectory]:
         facts = self._ledger.series[rollout.problem].rollouts.get(rollout.test, ())

@@ -1,5 +1,6 @@
 """The output of `perfbound report`: a page that needs no server, the counterexamples, and the figures."""
 
+import os
 import shlex
 from dataclasses import replace
 from pathlib import Path
@@ -53,7 +54,13 @@ def _in_place(verdict: VerdictCard, resume: str) -> VerdictCard:
 
 def _in_its_directory(command: str) -> str:
     words = shlex.split(command)
-    return shlex.join([*words[:2], ".", *words[3:]]) if words else ""
+    if not words:
+        return ""
+    for number in range(3, len(words)):
+        # From the folder in which this report is made, where it is not absolute.
+        if words[number - 1] == "--system" and not os.path.isabs(words[number]):
+            words[number] = os.path.relpath(words[number], words[2])
+    return shlex.join([*words[:2], ".", *words[3:]])
 
 
 def write_page(directory: Path, data: ReportData) -> tuple[Path, ...]:

@@ -1,7 +1,8 @@
-"""The time grids of rollouts that are compared in pairs.
+"""The time grids of rollouts: one that no other rollout has is doubted before it becomes a fact.
 
-A rollout with another grid than its partner has no objective, and which of the two is at fault shows in neither alone.
-So the first one of a pair is recorded at once only if its grid is known: two workers have sent it, or it was recorded.
+A result is recorded at once only if its grid is known: two workers have sent it, or it was recorded. Stamps that one
+attempt alone gives would move the borders of windows, and of a pair, which needs one grid, nobody could tell which of
+the two is at fault. A system with steps of its own for every start is recognised by its grids that repetitions confirm.
 """
 
 import hashlib
@@ -13,12 +14,21 @@ from ...schemas.trajectory import Trajectory
 MOST = 1000
 """Grids that are kept, the latest: a system with steps of its own for every start has as many as starts."""
 
+VARIOUS = 3
+"""Grids that repetitions have confirmed, after which a grid of its own is how this system is."""
+
 
 class Grids:
     """The grids of one session by their digests, each with the worker that sent it first; None once it is known."""
 
     def __init__(self) -> None:
         self._senders: dict[str, str | None] = {}
+        self._confirmed = 0
+
+    @property
+    def vary(self) -> bool:
+        """Whether the system has grids of its own for its starts, so that an unknown one is no sign of a fault."""
+        return self._confirmed >= VARIOUS
 
     def is_known(self, trajectory: Trajectory, worker: str) -> bool:
         """Whether the grid of a worker's result is known; afterwards that worker has sent it."""
@@ -30,7 +40,8 @@ class Grids:
         return known
 
     def take(self, trajectory: Trajectory) -> None:
-        """Know the grid of a rollout that is recorded."""
+        """Know the grid of a result that was doubted and is recorded: its repetition gave the same."""
+        self._confirmed += 1
         self._senders[_digest(trajectory)] = None
 
 

@@ -9,7 +9,7 @@ from ...schemas.ids import Attempt, RolloutId
 from ...schemas.rollout import RolloutRequest
 from ...schemas.trajectory import Trajectory
 from ..campaign.admission import admit
-from ..campaign.border import Admission
+from ..campaign.border import Admission, Compared
 from ..campaign.ledger import Ledger, Work
 from ..fleet import events
 from ..fleet.transport import Result
@@ -75,13 +75,19 @@ class Results:
         try:
             if decoded is None:
                 decoded = admit(self.request(rollout), self._admission.columns, message.payload, sha256)
-            first = self._review.request(rollout) is None and self._admission.check(rollout, decoded)
+            compared = "same" if self._review.request(rollout) else self._admission.check(rollout, decoded)
         except EvidenceError as fault:
             return _refused(fault)
         self._admitted[attempt] = message, decoded
-        if first and not self._grids.is_known(decoded, message.worker):
+        if self._is_doubted(compared) and not self._grids.is_known(decoded, message.worker):
             self._doubtful.add(attempt)
         return None
+
+    def _is_doubted(self, compared: Compared) -> bool:
+        """Whether a result with an unknown time grid is simulated once more before it counts."""
+        if compared == "same" or self._ledger.header.spec.repeated == "nowhere":
+            return False
+        return compared == "first of a pair" or not self._grids.vary
 
     def request(self, rollout: RolloutId) -> RolloutRequest:
         """Return the request for a rollout that is wanted."""

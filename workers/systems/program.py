@@ -225,7 +225,9 @@ def _read_csv(path: Path, columns: Sequence[str]) -> Floats:
     if not text.strip():
         raise ValueError("it has no numbers")
     if not text.endswith("\n"):
-        raise ValueError(f"its last line, {text.splitlines()[-1][:SHOWN]!r}, has no end, and may be cut; end every line")
+        raise ValueError(
+            f"its last line, {text.splitlines()[-1][:SHOWN]!r}, has no end, and may be cut; end every line"
+        )
     lines = text.splitlines()
     first = [cell.strip().strip('"') for cell in lines[0].split(",")]
     if not _is_number(first[0]):

@@ -345,3 +345,16 @@ def test_lines_of_tests_without_a_value_are_drawn() -> None:
     tests = replace(cube.problems[0].tests, y=(None,) * 6)
     none = replace(cube, problems=(replace(cube.problems[0], tests=tests),))
     assert "nominal_robustness-tests.svg" in drawn(none)
+
+
+@pytest.mark.parametrize(
+    ("command", "moved"),
+    [
+        ("replay runs/a r.0 --system own/cp.py:cartpole", "replay . r.0 --system ../../own/cp.py:cartpole"),
+        ("replay runs/a r.0 --system 'my cars.toml'", "replay . r.0 --system '../../my cars.toml'"),
+        ("replay /runs/a r.0 --system /own/cp.py:cartpole", "replay . r.0 --system /own/cp.py:cartpole"),
+        ("replay runs/a r.0", "replay . r.0"),
+    ],
+)
+def test_a_command_of_a_report_works_in_the_run_directory(command: str, moved: str) -> None:
+    assert write._in_its_directory(f"perfbound {command}") == f"perfbound {moved}"

@@ -30,3 +30,11 @@ def test_the_oldest_grids_are_forgotten() -> None:
         assert not found.is_known(sampled(0, 2 + number), "a")
         assert found.is_known(sampled(0, 1), "a"), "one that is in use"
     assert not found.is_known(sampled(0, 2), "b")
+
+
+def test_a_system_with_grids_of_its_own_for_its_starts_is_recognised() -> None:
+    found = Grids()
+    for number in range(grids.VARIOUS):
+        assert not found.vary
+        found.take(sampled(0, 1 + number))
+    assert found.vary

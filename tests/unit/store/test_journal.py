@@ -330,8 +330,7 @@ def test_the_locks_of_the_database_are_kept_while_it_is_open(journal: Journal, t
             journal.add(fact)
     journal.check_place()
     takes = (  # the lock of a connection on the index (`os_unix.c`: UNIX_SHM_DMS), and the shared one on the database
-        "import fcntl, sys\n"
-        "fcntl.lockf(open(sys.argv[1], 'r+b'), fcntl.LOCK_EX | fcntl.LOCK_NB, 1, int(sys.argv[2]))"
+        "import fcntl, sys\nfcntl.lockf(open(sys.argv[1], 'r+b'), fcntl.LOCK_EX | fcntl.LOCK_NB, 1, int(sys.argv[2]))"
     )
     for name, byte in ((f"{DATABASE}-shm", 128), (DATABASE, 0x40000002)):
         line = [sys.executable, "-c", takes, str(tmp_path / name), str(byte)]
