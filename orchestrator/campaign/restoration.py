@@ -66,7 +66,8 @@ class Restoration:
         if sha256 != fact.sha256:
             raise PerfboundError(
                 f"{self._directory / fact.path}: damaged, and simulated again it has the sha256 {sha256[:12]}..., not "
-                f"the recorded {fact.sha256[:12]}..., so this machine computes different floating-point results; "
+                f"the recorded {fact.sha256[:12]}..., so it does not follow from its seed alone, or "
+                "this machine computes other floating-point results; "
                 "restore the file from a copy"
             )
         files.write(evidence.inside(self._directory, fact.path), payload)

@@ -1,8 +1,8 @@
 """Any program as a system under test, described by the campaign file.
 
 For every rollout it gets one line of JSON on its stdin, writes the samples into the file that the line names, and
-answers with one line on its stdout: `{"done": true}` or `{"error": "TEXT"}`, best with the number of its request. It may
-stay for the next line, or end.
+answers with one line on its stdout: `{"done": true}` or `{"error": "TEXT"}`, best with the number of its request.
+It may stay for the next line, or end.
 """
 
 import contextlib
@@ -172,8 +172,8 @@ class ProgramSystem(SystemUnderTest):
         number = found.pop("request", self._number) if isinstance(found, dict) else None
         if number is not None and number != self._number:
             raise SimulationError(
-                f"{self._program} answered request {str(number)[:SHOWN]}, asked was {self._number}; answer each request "
-                "once, with its own number"
+                f"{self._program} answered request {str(number)[:SHOWN]}, asked was {self._number}; answer each "
+                "request once, with its own number"
             )
         if isinstance(found, dict) and list(found) == ["error"]:
             reason = str(found["error"])[:1000].strip() if found["error"] is not None else ""

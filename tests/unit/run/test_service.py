@@ -257,7 +257,7 @@ def test_a_file_that_comes_out_different_is_not_put_back(tmp_path: Path) -> None
     with (
         Network() as network,
         working(network, run_of(directory), [liar]),
-        pytest.raises(PerfboundError, match=r"computes different floating-point results; restore the file from a copy"),
+        pytest.raises(PerfboundError, match=r"computes other floating-point results; restore the file from a copy"),
     ):
         serve(directory, network, Log(), resumed=True)
     assert "restored" not in outcomes(directory)
