@@ -104,8 +104,8 @@ def _fault(found: RecordedRollout, deviation: Deviation) -> str:
     unit = curves.column_unit(found.header, worst.column)
     return (
         f"simulated again, {worst.column} differs by up to {worst.largest:.3g} {unit} at t = {worst.at:.3f} s: "
-        "the rollout does not follow from its seed alone, or this machine computes other floating-point results than the "
-        "one that recorded it"
+        "the rollout does not follow from its seed alone, or this machine computes other floating-point results "
+        "than the one that recorded it"
     )
 
 
