@@ -125,11 +125,16 @@ class ProblemResult(Model):
 
 
 class Assumption(Model):
-    """One assumption of the claims, and its status by the data; the sentence `detail` is presentation."""
+    """One assumption of the claims, and its status by the data; `detail` follows from the form and the values."""
 
     id: str
     status: Status
     detail: str
+    form: str | None = Field(
+        default=None,
+        exclude_if=lambda form: form is None,
+        description="the form of the sentence, where it is not that of the id",
+    )
     values: dict[str, int | float | str] | None = Field(
         default=None, description="the named numbers behind the status; not in older certificates"
     )

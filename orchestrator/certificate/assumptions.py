@@ -166,7 +166,7 @@ def _reproducible(recheck: Recheck | None, *, measured: bool, irreproducible: bo
     if recheck is not None and recheck.rollouts:
         percent = math.ceil(1000 * recheck.unseen_share) / 10
         values = {"rechecked": recheck.rollouts, "agreed": recheck.agreed, "percent": percent}
-    if irreproducible:
+    if irreproducible and not (recheck and recheck.agreed < recheck.rollouts):
         return assumption(name, "refuted", values, form="failures_vary")
     if not values:
         return assumption(name, "assumed", form="measured" if measured else None)

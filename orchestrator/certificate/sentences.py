@@ -296,8 +296,8 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "(sha256 {sha256}) is kept.",
     },
     "failures_vary": {
-        "refuted": "the system failed in a rollout that ran through when it was repeated with the same seed: failures "
-        "depend on more than the seed, so the recorded rollouts may be selected by their outcome.",
+        "refuted": "an attempt at a rollout failed or gave another trajectory, and its repetition with the same seed "
+        "did not: rollouts depend on more than the seed, so the recorded ones may be selected by their outcome.",
     },
     "measured": {
         "assumed": "the rollouts were handed in, and no simulator repeats one with its seed: nothing shows that none "
@@ -388,9 +388,21 @@ def assumption(
 ) -> Assumption:
     """Return an assumption with its sentence; `form` is the row of `SENTENCES` where it is not the id's first part."""
     rounded = {key: _rounded(value) for key, value in (values or {}).items()}
-    words = {key: f"{value:.{SIGNIFICANT}g}" if isinstance(value, float) else value for key, value in rounded.items()}
-    sentence = SENTENCES[form or name.partition("/")[0]][status]
-    return Assumption(id=name, status=status, detail=sentence.format(**words), values=rounded)
+    detail = _sentence(form or name.partition("/")[0], status, rounded)
+    return Assumption(id=name, status=status, detail=detail, form=form, values=rounded)
+
+
+def is_in_its_words(found: Assumption) -> bool:
+    """Whether the sentence of an assumption is that of its form, its status and its values, byte for byte."""
+    try:
+        return found.detail == _sentence(found.form or found.id.partition("/")[0], found.status, found.values or {})
+    except (LookupError, ValueError, TypeError):  # a form that is none, or values that are not its own
+        return False
+
+
+def _sentence(form: str, status: Status, values: Mapping[str, float | int | str]) -> str:
+    words = {key: f"{value:.{SIGNIFICANT}g}" if isinstance(value, float) else value for key, value in values.items()}
+    return SENTENCES[form][status].format(**words)
 
 
 def _rounded(value: float | int | str) -> float | int | str:

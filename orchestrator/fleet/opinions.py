@@ -31,7 +31,7 @@ FIRST = 3
 """Results of a worker that are compared always: a wrong build or a broken simulator shows in the first ones."""
 MOST = 3
 """Results of a rollout of which two have to agree."""
-UNLIKE = Failure("system", "its time grid is that of no other rollout")
+UNLIKE = Failure("system", "its trajectory is not the one that its repetition gave")
 """The failure of a doubtful result that is not repeated."""
 
 

@@ -79,7 +79,7 @@ class Results:
         except EvidenceError as fault:
             return _refused(fault)
         self._admitted[attempt] = message, decoded
-        if self._is_doubted(compared) and not self._grids.is_known(decoded, message.worker):
+        if self._is_doubted(compared) and not self._grids.is_known(decoded, message.worker, rollout):
             self._doubtful.add(attempt)
         return None
 

@@ -20,6 +20,7 @@ def judge_together(measurements: Measurements) -> SystemFinding | None:
         (trial, found, alone[trial.request.model_dump_json()])
         for run in measurements.together
         for trial, found in zip(run.trials, run.measured, strict=False)
+        if trial.request.model_dump_json() in alone
     ]
     differing = [
         (trial, found)
@@ -27,6 +28,8 @@ def judge_together(measurements: Measurements) -> SystemFinding | None:
         if bool(found.error) != bool(other.error) or found.file_sha256 != other.file_sha256
     ]
     ended = [run for run in measurements.together if run.ended]
+    if not pairs and not ended:
+        return None
     if not differing and not ended:
         return passed("together", f"{len(pairs)} rollouts of two processes at a time are as alone")
     if not differing:

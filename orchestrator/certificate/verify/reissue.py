@@ -3,11 +3,14 @@
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
+from ....schemas import __version__
 from ....schemas.certificate import Assumption, Certificate
 from ....schemas.facts import Header
 from ....schemas.requirements import parts_of
+from ....schemas.rules import RULES
 from ...campaign.ledger import observed_discards
 from ..issue import issue, manifest
+from ..sentences import is_in_its_words
 from . import compare
 from .checks import ABSENT, plural
 from .compare import ROUND_OFF
@@ -58,11 +61,16 @@ def compared(header: Header, reissued: Certificate, certificate: Certificate) ->
         fault = compare.difference(part(recomputed), part(recorded), name, tolerance=tolerance)
         if fault or detail:
             yield name, fault, detail
-    yield "audit", *_audit(reissued.predicate.assumptions, certificate.predicate.assumptions, header.rules)
+    assumptions = reissued.predicate.assumptions, certificate.predicate.assumptions
+    # A version has one sentence for a form and its values.
+    worded_here = header.rules == RULES and header.software.get("perfbound") == __version__
+    yield "audit", *_audit(*assumptions, header.rules, worded_here=worded_here)
 
 
-def _audit(recomputed: Sequence[Assumption], recorded: Sequence[Assumption], rules: int) -> tuple[str | None, str]:
-    """Compare ids, statuses and values; return the fault or None, and the detail."""
+def _audit(
+    recomputed: Sequence[Assumption], recorded: Sequence[Assumption], rules: int, *, worded_here: bool
+) -> tuple[str | None, str]:
+    """Compare ids, statuses, values and sentences; return the fault or None, and the detail."""
     ids, recorded_ids = ([[each.id, each.status] for each in side] for side in (recomputed, recorded))
     fault = compare.difference(ids, recorded_ids, "assumptions")
     pairs = list(zip(recomputed, recorded, strict=False))
@@ -70,7 +78,17 @@ def _audit(recomputed: Sequence[Assumption], recorded: Sequence[Assumption], rul
         # The first certificates have no values; the status follows from the data all the same.
         if fault is None and (found.values is not None or rules > 1):
             fault = compare.difference(ours.values, found.values, ours.id, tolerance=compare.SIX_DIGITS)
-    # Sentences are presentation: another perfbound may word them otherwise, so a difference is only counted.
+    if worded_here and fault is None:
+        forms, recorded_forms = ([each.form for each in side] for side in (recomputed, recorded))
+        fault = compare.difference(forms, recorded_forms, "assumptions") or next(
+            (
+                f"{each.id}: its sentence is not the one of its form and its values"
+                for each in recorded
+                if not is_in_its_words(each)
+            ),
+            None,
+        )
+    # Another perfbound may word them otherwise: there a difference is only counted.
     differing = sum(ours.detail != found.detail for ours, found in pairs)
     worded = f"; in the certificate {differing} are worded otherwise than below" if differing else ""
     return fault, f"assumptions: {len(recomputed)}{worded}"

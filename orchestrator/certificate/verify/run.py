@@ -11,11 +11,13 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from ....schemas import __version__
 from ....schemas.certificate import Certificate
 from ....schemas.errors import JournalError
 from ....schemas.facts import Header, ObservationFact, ProposalFact
 from ....schemas.ids import RolloutId
 from ....schemas.rollout import RolloutRequest
+from ....schemas.rules import RULES
 from ...campaign.checks import check
 from ...campaign.ledger import observed_discards
 from ...campaign.software import other_numerics
@@ -161,8 +163,17 @@ def _header(directory: Path, certificate: Certificate, checks: Checks) -> Header
         raise CheckFailed("header", fault)
     # The pair is untrusted, and its digests fit: refuse it as a run would, before the mathematics reads it.
     check(config, header.spec, "the campaign")
-    checks.passed("header", f"{config.name}, seed {config.seed}, sha256 {header.config_sha256[:16]}...")
+    checks.passed("header", f"{config.name}, seed {config.seed}, sha256 {header.config_sha256[:16]}..." + _of(header))
     return header
+
+
+def _of(header: Header) -> str:
+    """Return what a campaign of another version does without."""
+    if header.rules != RULES:
+        return f"; by rules {header.rules}, which this version replaced by {RULES}: its sentences are not compared"
+    if (theirs := header.software.get("perfbound")) != __version__:
+        return f"; of perfbound {theirs}, this one is {__version__}: its sentences are not compared"
+    return ""
 
 
 def _manifest(

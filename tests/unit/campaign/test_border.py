@@ -147,7 +147,7 @@ def test_the_first_rollout_of_a_pair_is_found_if_its_time_grid_is_another_one(
     assert stage.ledger.done
     assert fingerprints(tmp_path / "run") == fingerprints(tmp_path / "calm")
     (failed,) = [each for each in outcomes(tmp_path / "run", first) if each[0] != "recorded"]
-    assert failed == ("its time grid is that of no other rollout", "system")
+    assert failed == ("its trajectory is not the one that its repetition gave", "system")
     for each in (calm, stage):
         each.journal.close()
 
@@ -180,7 +180,7 @@ def stuck(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The run directory of a campaign that an older perfbound stopped in: two time grids in one pair."""
     stage = odd(tmp_path / "run", a_pair("rigorous"), shift=0.001, held=str(BEFORE))
     with monkeypatch.context() as older:
-        older.setattr("perfbound.orchestrator.campaign.border.Admission.check", lambda *_: None)
+        older.setattr("perfbound.orchestrator.campaign.border.Admission.check", lambda *_: "same")
         # Both are recorded while an earlier test is open, so that neither is observed.
         stage.play(lambda: len(stage.ledger.series["sim_gap"].rollouts.get(ODD.test, ())) == 2)
     stage.journal.close()

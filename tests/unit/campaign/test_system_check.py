@@ -61,8 +61,9 @@ def sound(trial: Trial) -> Measured:
 
 
 def evidence(rule: Rule = lambda process, place, trial: {}) -> Measurements:
-    plans = TRIALS.fresh(), TRIALS.first(0.01), TRIALS.second()
-    return Measurements(SPEC, tuple(run(process, plan, rule) for process, plan in enumerate(plans)), 60.0, 4)
+    plans = TRIALS.fresh(), TRIALS.first(0.01), TRIALS.second(), *TRIALS.together(0.01)
+    runs = tuple(run(process, plan, rule) for process, plan in enumerate(plans))
+    return Measurements(SPEC, runs[:3], 60.0, 4, together=runs[3:])
 
 
 def run(process: int, trials: Sequence[Trial], rule: Rule) -> ChildRun:

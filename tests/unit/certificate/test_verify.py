@@ -256,7 +256,7 @@ def rewrite(directory: Path, edit: Callable[[Any], object]) -> None:
         (lambda p: p["assumptions"].pop(), "audit"),
         (lambda p: p["assumptions"][0]["values"].update(rkhs_norm=0.31), "audit"),
         (lambda p: p["assumptions"][0].pop("values"), "audit"),
-        (lambda p: p["assumptions"][-1].update(detail="all is well"), None),
+        (lambda p: p["assumptions"][-1].update(detail="all is well"), "audit"),
         (lambda p: p.update(rules=1), "header"),
         (lambda p: p.pop("rules"), "header"),
         (lambda p: p["question"].update(specification="always (abs(phi) <= 2)"), "header"),
@@ -271,8 +271,32 @@ def test_an_edited_certificate(campaign: Path, edit: Callable[[Any], object], li
     assert (line in failed(campaign)) if line else failed(campaign) == []
 
 
-def test_sentences_are_presentation_and_those_that_differ_are_counted(campaign: Path) -> None:
-    rewrite(campaign, lambda predicate: predicate["assumptions"][-1].update(detail="all is well"))
+@pytest.mark.parametrize(
+    "edit",
+    [
+        {"detail": "all is well"},
+        {"detail": ""},
+        {"form": "independence"},
+        {"form": "no such form"},
+        {"form": "independence", "detail": "all is well"},
+    ],
+)
+def test_a_sentence_is_that_of_its_form_and_its_values(campaign: Path, edit: dict[str, str]) -> None:
+    rewrite(campaign, lambda predicate: predicate["assumptions"][-1].update(edit))
+    found = verify_certificate(campaign, key=None, again=0, report=lambda *_: None)
+    assert found.checks.found["audit"].status == "failed"
+
+
+def test_the_sentences_of_another_version_are_counted(campaign: Path) -> None:
+    def edit(predicate: Any) -> None:
+        predicate["assumptions"][-1].update(detail="all is well")
+        predicate["software"]["perfbound"] = "0.1.0"
+
+    rewrite(campaign, edit)
+    with editing(campaign) as database:
+        database.execute(
+            'UPDATE campaign SET software = replace(software, \'"perfbound":"0.2.0"\', \'"perfbound":"0.1.0"\')'
+        )
     found = verify_certificate(campaign, key=None, again=0, report=lambda *_: None)
     assert found.checks.found["audit"].detail.endswith("; in the certificate 1 are worded otherwise than below")
     assert found.reissued is not None

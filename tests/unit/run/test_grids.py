@@ -4,7 +4,12 @@ import numpy as np
 
 from perfbound.orchestrator.run import grids
 from perfbound.orchestrator.run.grids import Grids
+from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.trajectory import Trajectory
+
+
+def rollout(test: int) -> RolloutId:
+    return RolloutId("p", test, "nominal", 0)
 
 
 def sampled(*times: float) -> Trajectory:
@@ -13,23 +18,30 @@ def sampled(*times: float) -> Trajectory:
 
 def test_a_grid_is_known_once_two_workers_have_sent_it() -> None:
     found = Grids()
-    assert [found.is_known(sampled(0, 1), worker) for worker in ("a", "a", "b", "a")] == [False, False, True, True]
-    assert not found.is_known(sampled(0, 1, 2), "b")
+    sent = [found.is_known(sampled(0, 1), worker, rollout(test)) for test, worker in enumerate("aaba")]
+    assert sent == [False, False, True, True]
+    assert not found.is_known(sampled(0, 1, 2), "b", rollout(9))
+
+
+def test_a_grid_is_known_once_a_repetition_has_it() -> None:
+    found = Grids()
+    assert [found.is_known(sampled(0, 1), "a", rollout(test)) for test in (0, 1, 2)] == [False, False, False]
+    assert [found.is_known(sampled(0, 2), "a", rollout(test)) for test in (2, 2, 3)] == [False, True, True]
 
 
 def test_the_grid_of_a_recorded_rollout_is_known() -> None:
     found = Grids()
     found.take(sampled(0, 1))
-    assert found.is_known(sampled(0, 1), "a")
+    assert found.is_known(sampled(0, 1), "a", rollout(0))
 
 
 def test_the_oldest_grids_are_forgotten() -> None:
     found = Grids()
     found.take(sampled(0, 1))
     for number in range(grids.MOST):
-        assert not found.is_known(sampled(0, 2 + number), "a")
-        assert found.is_known(sampled(0, 1), "a"), "one that is in use"
-    assert not found.is_known(sampled(0, 2), "b")
+        assert not found.is_known(sampled(0, 2 + number), "a", rollout(number))
+        assert found.is_known(sampled(0, 1), "a", rollout(0)), "one that is in use"
+    assert not found.is_known(sampled(0, 2), "b", rollout(0))
 
 
 def test_a_system_with_grids_of_its_own_for_its_starts_is_recognised() -> None:

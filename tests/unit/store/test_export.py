@@ -105,13 +105,29 @@ def test_rollouts_are_those_of_the_database(campaign: Path) -> None:
         rollout: values
         for rollout, *values in query(campaign, "SELECT rollout, worker, wall_seconds, cpu_seconds FROM outcomes")
     }
+    attempts = dict(query(campaign, "SELECT rollout, count(*) FROM attempts GROUP BY rollout"))
     assert len(found) == len(facts) == ROLLOUTS
     for row, (_, problem, test, variant, replicate, seed, sha256, size, path, robustness) in zip(
         found, facts, strict=True
     ):
         name = f"{problem}.{test}.{variant}.{replicate}"
         worker, wall, cpu = outcomes[name]
-        values = (name, problem, test, variant, replicate, seed, robustness, path, size, sha256, worker, 1, wall, cpu)
+        values = (
+            name,
+            problem,
+            test,
+            variant,
+            replicate,
+            seed,
+            robustness,
+            path,
+            size,
+            sha256,
+            worker,
+            attempts[name],
+            wall,
+            cpu,
+        )
         titles = ("rollout", "problem", "test", "variant", "replicate", "seed", "robustness (1)", "path", "size (B)")
         assert [row[title] for title in (*titles, "sha256", "worker", "attempts", "wall (s)", "cpu (s)")] == [
             plain(value) for value in values
@@ -592,7 +608,7 @@ def command(*arguments: str | Path) -> Result:
     return CliRunner().invoke(cli, ["export", *(str(each) for each in arguments)])
 
 
-EMPTY = ("counterexamples", "failures", "opinions", "set_aside")
+EMPTY = ("counterexamples", "failures", "set_aside")
 
 
 def test_the_command_says_what_it_wrote(campaign: Path) -> None:
@@ -601,7 +617,9 @@ def test_the_command_says_what_it_wrote(campaign: Path) -> None:
     assert result.stdout.splitlines() == [
         f"{campaign / 'export' / 'tests.csv'}  {ROLLOUTS // 8} rows",
         *(f"{campaign / 'export' / name}.csv  {ROLLOUTS} rows" for name in ("rollouts", "observations")),
-        *(f"{campaign / 'export' / name}.csv  0 rows" for name in EMPTY),
+        *(f"{campaign / 'export' / name}.csv  0 rows" for name in EMPTY[:2]),
+        f"{campaign / 'export' / 'opinions'}.csv  1 rows",
+        *(f"{campaign / 'export' / name}.csv  0 rows" for name in EMPTY[2:]),
     ]
 
 

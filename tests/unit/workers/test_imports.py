@@ -32,7 +32,7 @@ def of(modules: list[str], *packages: str) -> list[str]:
     [
         (("systems",), "perfbound.workers.systems.segway"),
         (("simulate", "--request", "{}", "--out", "never.mcap"), "perfbound.workers.simulate"),
-        (("measure", "--answers", "1"), "perfbound.workers.check_system"),
+        (("measure", "--answers", "1", "--begin", "0"), "perfbound.workers.check_system"),
         # The name is refused after everything is imported and before anything is opened.
         (("serve", "--connect", "tcp/127.0.0.1:1", "--name", "no name"), "perfbound.workers.worker"),
     ],
@@ -70,6 +70,7 @@ def test_the_public_names_are_frozen() -> None:
         "SystemSpec",
         "SystemUnderTest",
         "Trajectory",
+        "Worker",
         "__version__",
         "checked_options",
         "open",
@@ -94,6 +95,7 @@ def test_the_public_names_are_frozen() -> None:
         "Transform",
         "Variant",
         "Visual",
+        "Worker",
         "checked_options",
         "system",
     ]
