@@ -78,7 +78,7 @@ def test_each_row_has_the_verdict_the_margin_and_the_state(watch: Watched) -> No
     _, verdict, claim, required, state, rollouts, violations, changed = words(watch, "cars/standing")
     assert (verdict, required, state, violations) == ("SHOWN", "\u2265\u00a00 m", "finished", "0")
     assert claim.startswith("\u2265\u00a0")
-    assert claim.endswith(" m")
+    assert claim.endswith(" m, clipped")
     assert int(rollouts.replace(",", "")) > 100
     assert changed.endswith(" ago")
     assert words(watch, "cars/violated")[1].startswith("VIOLATED\nAt gap = ")

@@ -41,7 +41,7 @@ for line in sys.stdin:
         force = [u for u, at in zip(push["knots"], push["times"]) if at <= t + 1e-9][-1]
         speed += force * step / mass
         rows.append(f"{t},{speed},{force}")
-    open(asked["path"], "w").write("\\n".join(rows))
+    open(asked["path"], "w").write("".join(row + "\\n" for row in rows))
     print('{"done": true}', flush=True)
 """
 CAMPAIGN = """horizon = 2.0

@@ -124,8 +124,9 @@ def test_an_interrupted_run_continues_in_the_same_session(started: Processes, tm
     ended = process.wait()
     assert ended.code == 0, ended.err
     stopped, refused, *claim = ended.out.splitlines()
-    assert stopped == "stopped; perfbound.resume('run') continues True"
-    assert refused == "run: this campaign is here already; continue it with perfbound.resume('run')"
+    assert stopped == f"stopped; perfbound.resume('{tmp_path / 'run'}') continues True"
+    run = tmp_path / "run"
+    assert refused == f"{run}: this campaign is here already; continue it with perfbound.resume('{run}')"
     assert claim[0].startswith("VERDICT")
     assert claim[1].startswith("CLAIM")
     assert certificate(tmp_path / "run") == calm

@@ -138,7 +138,7 @@ def test_a_campaign_of_the_library_is_stopped_in_any_thread(slow: Processes, whe
     assert slow.run("perfbound", "stop", directory).code == 0
     ended = process.wait()
     assert ended.code == 0, "the program itself continues"
-    assert "perfbound.resume('run') continues" in ended.out
+    assert f"perfbound.resume('{directory}') continues" in ended.out
 
 
 def test_what_cannot_be_stopped_is_refused(slow: Processes) -> None:
