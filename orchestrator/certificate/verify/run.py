@@ -13,7 +13,7 @@ from pathlib import Path
 
 from ....schemas import __version__
 from ....schemas.certificate import Certificate
-from ....schemas.errors import JournalError
+from ....schemas.errors import JournalError, Stopped
 from ....schemas.facts import Header, ObservationFact, ProposalFact
 from ....schemas.ids import RolloutId
 from ....schemas.rollout import RolloutRequest
@@ -87,6 +87,7 @@ def verify_certificate(
 
     Raises:
         PerfboundError: there is no certificate, or the key cannot be read.
+        Stopped: a signal arrived; with the checks so far.
 
     """
     given, checks, certificate, reissued, header = VerificationInput.of(path), Checks(), None, None, None
@@ -95,7 +96,18 @@ def verify_certificate(
         reissued, header = _evidence(given.directory, certificate, checks, Again(again, system), report)
     except CheckFailed as failed:
         checks.failed(failed.name, str(failed))
+    except Stopped as stop:
+        raise Stopped(stop.signal, f"nothing is verified: {_so_far(checks)}") from None
     return Verification(checks, certificate, reissued, header)
+
+
+def _so_far(checks: Checks) -> str:
+    """Return which checks have been made, and which have not."""
+    by_status: dict[str, list[str]] = {}
+    for each in checks.lines():
+        status = each.status if each.name in checks.found else "not reached"
+        by_status.setdefault(status, []).append(each.name)
+    return "; ".join(f"{status} {', '.join(names)}" for status, names in by_status.items())
 
 
 def _evidence(

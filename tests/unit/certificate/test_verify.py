@@ -35,7 +35,7 @@ from perfbound.orchestrator.store.untrusted import UntrustedFacts, read_untruste
 from perfbound.schemas.base import canonical_json
 from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.certificate import Certificate
-from perfbound.schemas.errors import PerfboundError
+from perfbound.schemas.errors import PerfboundError, Stopped
 from perfbound.schemas.facts import DiscardFact, ExtensionFact, Fact, RolloutFact
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.system import SystemSpec
@@ -717,3 +717,17 @@ def test_what_is_the_same(a: object, b: object, *, same: bool) -> None:
 )
 def test_values_may_differ_in_their_last_digit(a: float, b: float, *, same: bool) -> None:
     assert (compare.difference(a, b, tolerance=compare.SIX_DIGITS) is None) is same
+
+
+def test_an_interrupted_verification_says_what_it_has_checked(campaign: Path) -> None:
+    def stops(stage: str, *_: object) -> None:
+        if stage == "campaign":
+            raise Stopped(2)
+
+    with pytest.raises(Stopped) as stopped:
+        verify_certificate(campaign, key=None, again=0, report=stops)
+    assert stopped.value.state == (
+        "nothing is verified: skipped signature; passed certificate, header, manifest, files; not reached requests, "
+        "trajectories, proposals, observations, stop, evidence, chain, problems, probabilities, composition, spot check, "
+        "recheck, regions, claims, audit, software, database, resimulation"
+    )
