@@ -728,6 +728,6 @@ def test_an_interrupted_verification_says_what_it_has_checked(campaign: Path) ->
         verify_certificate(campaign, key=None, again=0, report=stops)
     assert stopped.value.state == (
         "nothing is verified: skipped signature; passed certificate, header, manifest, files; not reached requests, "
-        "trajectories, proposals, observations, stop, evidence, chain, problems, probabilities, composition, spot check, "
-        "recheck, regions, claims, audit, software, database, resimulation"
+        "trajectories, proposals, observations, stop, evidence, chain, problems, probabilities, composition, "
+        "spot check, recheck, regions, claims, audit, software, database, resimulation"
     )
