@@ -169,11 +169,10 @@ def catch(directory: Path, when: Callable[[], bool]) -> tuple[str, psutil.Proces
     """Stop a worker in the middle of a rollout, on its first attempt; return the rollout and the stopped process."""
     while True:
         wait_for(lambda: when() and under_way(directory))
-        # Not the first of a gap pair: without a known time grid it is simulated again in any case.
-        if not (busy := [each for each in under_way(directory) if not str(each[0]).startswith("sim_gap.0.")]):
+        # Not the first of a campaign or of a gap pair: without a known time grid it is simulated again in any case.
+        if not (busy := [each for each in under_way(directory) if each[1] == 1 and "gap.0." not in str(each[0])]):
             continue
-        rollout, attempt, _, pid = busy[0]
-        assert attempt == 1
+        rollout, _, _, pid = busy[0]
         assert isinstance(pid, int)
         worker, count = psutil.Process(pid), recorded(directory)
         worker.suspend()

@@ -5,8 +5,7 @@
 int main(void) {
     double angle, rate, horizon;
     unsigned long long seed;
-    int request;
-    char path[1024];
+    int request; char path[1024];
     while (scanf(" {\"request\": %d, \"start\": {\"angle\": %lf, \"rate\": %lf}, \"seed\": %llu, \"variant\": \"nominal\", "
                  "\"horizon\": %lf, \"options\": {}, \"worker\": {%*[^}]}, \"path\": \"%1023[^\"]\"}",
                  &request, &angle, &rate, &seed, &horizon, path) == 6) {

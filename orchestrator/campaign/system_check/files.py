@@ -55,8 +55,7 @@ def to_declare(names: Iterable[str]) -> tuple[str, ...]:
     for name in sorted(names):
         folders[str(PurePosixPath(name).parent)].append(name)
     # The folder of the system itself has more than its files, and so may have one elsewhere.
-    return tuple(
-        each
-        for folder, files in sorted(folders.items())
-        for each in ([folder] if len(files) > MOST_OF_FOLDER and not folder.startswith((".", "/")) else files)
-    )
+    whole = {
+        folder: len(files) > MOST_OF_FOLDER and not folder.startswith((".", "/")) for folder, files in folders.items()
+    }
+    return tuple(sorted(each for folder, files in folders.items() for each in ([folder] if whole[folder] else files)))

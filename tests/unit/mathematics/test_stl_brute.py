@@ -67,11 +67,18 @@ def value(node: Any, sample: tuple[float, ...]) -> float:
     return float(OPERATIONS[node[0]](*parts))
 
 
+def slack(i: int, trace: Trace) -> float:
+    """How far from stamp i a border is the same instant: a hundredth of the shorter step beside it."""
+    t = [sample[0] for sample in trace]
+    steps = [abs(t[i] - t[j]) for j in (i - 1, i + 1) if 0 <= j < len(t)]
+    return max(0.01 * min(steps, default=0.0), t[i] * 2.0**-23)
+
+
 def window(interval: Any, k: int, trace: Trace) -> list[int]:
     a, b = interval or (0.0, None)
     t = [sample[0] for sample in trace]
     end = t[-1] if b is None else t[k] + b
-    chosen = [i for i in range(len(trace)) if t[k] + a - 1e-9 <= t[i] <= end + 1e-9]
+    chosen = [i for i in range(len(trace)) if t[k] + a - slack(i, trace) <= t[i] <= end + slack(i, trace)]
     if interval is None:  # needs no sample times
         chosen = list(range(k, len(trace)))
     if not chosen:
@@ -79,16 +86,16 @@ def window(interval: Any, k: int, trace: Trace) -> list[int]:
     return chosen
 
 
-def check_reach(node: Any, latest: float, end: float) -> None:
+def check_reach(node: Any, latest: float, end: float, slack: float) -> None:
     """The rule about the end of the trajectory: no operand is read beyond it."""
     if node[0] in WORDS:
         a, b = node[1] or (0.0, None)
-        if latest + (a if b is None else b) > end + 1e-9:
+        if latest + (a if b is None else b) > end + slack:
             raise RefusedError
         latest = end if b is None else latest + b
     for part in node[1:]:
         if isinstance(part, tuple) and part and part[0] in {*WORDS, "and", "or", "implies", "not"}:
-            check_reach(part, latest, end)
+            check_reach(part, latest, end, slack)
 
 
 def brute(node: Any, k: int, trace: Trace) -> float:
@@ -115,7 +122,7 @@ def brute(node: Any, k: int, trace: Trace) -> float:
 
 
 def oracle(formula: Any, trace: Trace) -> float:
-    check_reach(formula, 0.0, trace[-1][0] - trace[0][0])
+    check_reach(formula, 0.0, trace[-1][0] - trace[0][0], slack(len(trace) - 1, trace))
     return brute(formula, 0, trace)
 
 
