@@ -3,7 +3,7 @@
 import hashlib
 import re
 from collections.abc import Iterable
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field, ValidationError, model_validator
 
@@ -27,7 +27,55 @@ Variant = Literal["nominal", "true"]
 OptionValue = str | Magnitude
 
 
-class Parameter(Model):
+class Written(type(Model)):  # type: ignore[misc]
+    """The class of what users write in Python: its call raises one line of ours; a message keeps pydantic's error."""
+
+    def __call__(cls, *limits: float, **fields: Any) -> Any:
+        """Make one by names; the two limits of a parameter may stand first, without theirs.
+
+        Raises:
+            DefinitionError: a field is missing, unknown or wrong.
+
+        """
+        given = ", ".join([*map(repr, limits), *(f"{name}={value!r}" for name, value in fields.items())])
+        # The many fields of a system say nothing of the one that is wrong.
+        place = "" if cls is SystemSpec else f"{shortened(f'{cls.__name__}({given})', 120)}: "
+        if limits and cls is not Parameter:
+            raise DefinitionError(f"{place}give the fields of {cls.__name__} by their names")
+        try:
+            return super().__call__(**dict(zip(("low", "high")[: 2 * bool(limits)], limits, strict=True)), **fields)
+        except ValidationError as error:
+            remedy = TWO_NUMBERS if cls is Parameter and error.errors()[0]["loc"][:1] in {("low",), ("high",)} else ""
+            raise DefinitionError(f"{place}{_fault(error, cls)}{remedy}") from None
+        except (ValueError, TypeError):  # of them there are fewer, more, or one twice
+            raise DefinitionError(f"{place}not two limits{TWO_NUMBERS}") from None
+
+
+TWO_NUMBERS = "; give two numbers, as in Parameter(0, 5, unit='m')"
+
+
+def _fault(error: ValidationError, model: type[Model]) -> str:
+    """Return the first fault of the fields of a `Written` in words."""
+    fault = error.errors(include_url=False)[0]
+    where = ".".join(map(str, fault["loc"]))
+    match fault["type"]:
+        case "missing":
+            return f"{model.__name__} needs {where}"
+        case "extra_forbidden":
+            return f"{model.__name__} has no {where}; it has {', '.join(model.model_fields)}"
+        case "value_error":
+            return str(fault["ctx"]["error"])
+        case "float_type" | "finite_number":
+            wanted = "a finite number is needed"
+        case "string_pattern_mismatch":
+            joint = "-" if where == "name" and model is SystemSpec else "_"
+            wanted = f"a name consists of a-z, 0-9 and {joint}, the first is a letter"
+        case _:
+            wanted = str(fault["msg"]).replace("Input should", "it must")
+    return f"{where}: {fault['input']!r}: {wanted}"
+
+
+class Parameter(Model, metaclass=Written):
     """One component of the starting condition d: `Parameter(low, high, unit=...)`, or by names.
 
     The name may be left out where the parameter stands under it, as in the decorator of a function.
@@ -43,29 +91,19 @@ class Parameter(Model):
         description="an input over time; the campaign chooses its interpolation and its knots",
     )
 
-    def __init__(self, *limits: float, **fields: Any) -> None:
-        if not limits:  # by names, also where pydantic makes one of a message: there its own error counts
-            super().__init__(**fields)
-            return
-        try:
-            super().__init__(**dict(zip(("low", "high"), limits, strict=True)), **fields)
-        except (ValueError, TypeError) as error:
-            given = ", ".join([*map(repr, limits), *(f"{name}={value!r}" for name, value in fields.items())])
-            first = error.errors(include_url=False)[0] if isinstance(error, ValidationError) else None
-            where = f"{'.'.join(map(str, first['loc']))}: {first['msg']}" if first else "not two limits"
-            raise DefinitionError(
-                f"{shortened(f'Parameter({given})', 120)}: {where}; give two numbers, as in Parameter(0, 5, unit='m')"
-            ) from None
+    if TYPE_CHECKING:  # else pydantic would call it for each parameter of a message
+
+        def __init__(self, *limits: float, **fields: Any) -> None: ...
 
 
-class Column(Model):
+class Column(Model, metaclass=Written):
     """One column of the trajectory."""
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
     unit: str
 
 
-class Option(Model):
+class Option(Model, metaclass=Written):
     """One key that `[system]` of a campaign file may set: a choice of words or a number in [low, high]."""
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
@@ -87,7 +125,7 @@ class Option(Model):
         return " ".join(filter(None, ["a number", " and ".join(limits), self.unit]))
 
 
-class SystemSpec(Model):
+class SystemSpec(Model, metaclass=Written):
     """A system under test: its parameters and options, its columns, and its software.
 
     `columns` starts with the time `t` in seconds. `noisy` names the variants whose rollouts depend on the seed.

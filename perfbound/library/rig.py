@@ -3,8 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from pydantic import ValidationError
-
 from ..schemas.errors import DefinitionError
 from ..schemas.system import Column, Parameter, SystemSpec
 
@@ -52,7 +50,5 @@ class Rig:
                 max_horizon=self.max_horizon,
                 repeated="nowhere",
             )
-        except ValidationError as error:
-            fault = error.errors(include_url=False)[0]
-            where = ".".join(map(str, fault["loc"]))
-            raise DefinitionError(f"rig {self.name!r}: {where}: {fault['msg']}; it is {fault.get('input')!r}") from None
+        except DefinitionError as error:
+            raise DefinitionError(f"rig {self.name!r}: {error}") from None

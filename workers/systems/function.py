@@ -15,7 +15,6 @@ from typing import Any, Literal, get_args, get_origin
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
 from ...schemas.errors import DefinitionError, SimulationError, shortened
 from ...schemas.ranges import SEED_BITS
@@ -190,10 +189,8 @@ def system(
                 seed_bits=seed_bits,
                 trajectory_bytes=trajectory_bytes,
             )
-        except ValidationError as error:
-            fault = error.errors(include_url=False)[0]
-            where = ".".join(map(str, fault["loc"]))
-            raise DefinitionError(f"{place}: {where}: {fault['msg']}; it is {fault.get('input')!r}") from None
+        except DefinitionError as error:
+            raise DefinitionError(f"{place}: {error}") from None
         return FunctionSystem(function, spec, step, keywords, files)
 
     return decorate

@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import DefinitionError, SimulationError
@@ -319,9 +318,8 @@ def load_program(file: Path, config: CampaignConfig) -> ProgramSystem:
             seed_bits=choice.seed_bits or SEED_BITS,
             code=files.digests,
         )
-    except ValidationError as error:
-        fault = error.errors(include_url=False)[0]
-        raise DefinitionError(f"{file}: system: {fault['msg']}; it is {fault.get('input')!r}") from None
+    except DefinitionError as error:
+        raise DefinitionError(f"{file}: system: {error}") from None
     return ProgramSystem(spec, choice, folder, files)
 
 

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -263,5 +264,33 @@ def test_a_campaign_of_several_requirements_shows_their_formulas() -> None:
 def test_a_parameter_without_two_numbers_is_one_line(limits: Any) -> None:
     with pytest.raises(PerfboundError, match=r"give two numbers, as in Parameter\(0, 5, unit='m'\)") as error:
         pb.Parameter(*limits)
+    assert "pydantic" not in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("model", "limits", "fields", "words"),
+    [
+        (
+            pb.Parameter,
+            (),
+            {"low": "a", "high": 1},
+            r"Parameter\(low='a', high=1\): low: 'a': a finite number is needed",
+        ),
+        (pb.Parameter, (), {"low": 0}, r"Parameter\(low=0\): Parameter needs high; give two numbers"),
+        (pb.Parameter, (0, 1), {"low": 0}, "not two limits"),
+        (pb.Parameter, (0, 1), {"units": "m"}, "Parameter has no units; it has name, unit, low, high, signal"),
+        (pb.Column, ("x", "m"), {}, "give the fields of Column by their names"),
+        (pb.Column, (), {"name": "X", "unit": "m"}, "name: 'X': a name consists of a-z, 0-9 and _, the first is a"),
+        (pb.Option, (), {"default": 1.0}, "Option needs name"),
+        (pb.SystemSpec, (), {"name": "a_b"}, "name: 'a_b': a name consists of a-z, 0-9 and -"),
+        (pb.SystemSpec, (), {"name": "a"}, "SystemSpec needs doc"),
+    ],
+)
+def test_what_is_written_in_python_is_refused_in_one_line(
+    model: Callable[..., object], limits: tuple[Any, ...], fields: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(PerfboundError, match=words) as error:
+        model(*limits, **fields)
     assert "pydantic" not in str(error.value)
     assert "\n" not in str(error.value)

@@ -120,7 +120,7 @@ def test_short_seeds_are_part_of_the_spec_and_of_its_digest() -> None:
     # What has 53 bits is the system that it was before there was this key.
     assert "seed_bits" not in plain.model_dump(mode="json", exclude_defaults=True)
     assert plain.digest_by(1) == short.digest_by(1)
-    with pytest.raises(DefinitionError, match="seed_bits: Input should be greater than or equal to 31; it is 16"):
+    with pytest.raises(DefinitionError, match="seed_bits: 16: it must be greater than or equal to 31"):
         made(lambda x, *, seed: (x, x), seed_bits=16)
 
 
