@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 import click
 
+from ..schemas.stop_signals import stop_signals
 from .ends import DELIVERY
 
 if TYPE_CHECKING:
@@ -33,6 +34,7 @@ class Stopping:
     def __init__(self, within: float, end_programs: Callable[[], None]) -> None:
         self._within, self._end_programs = within, end_programs
         self._asked = threading.Event()
+        self._numbers = [number for number in stop_signals() if number != signal.SIGINT]
         self._worker: WorkerProcess | None = None
 
     @property
@@ -41,12 +43,13 @@ class Stopping:
         return self._asked.is_set()
 
     def watch(self) -> None:
-        """Take SIGTERM from now on; in the main thread."""
+        """Take SIGTERM and SIGHUP from now on; in the main thread."""
         read, write = os.pipe()
         os.set_blocking(write, False)
         signal.set_wakeup_fd(write, warn_on_full_buffer=False)
-        signal.signal(signal.SIGTERM, self._begin)
-        _only_once(signal.SIGTERM)
+        for number in self._numbers:
+            signal.signal(number, self._begin)
+            _only_once(number)
         threading.Thread(target=self._wait, args=(read,), name="stopping", daemon=True).start()
 
     def attend(self, worker: "WorkerProcess") -> None:
@@ -60,7 +63,7 @@ class Stopping:
         signal.signal(number, lambda _number, _frame: self._exit())
 
     def _wait(self, pipe: int) -> None:
-        while signal.SIGTERM not in os.read(pipe, 1):  # SIGINT is an exception of the main thread
+        while os.read(pipe, 1)[0] not in self._numbers:  # SIGINT is an exception of the main thread
             pass
         deadline = time.monotonic() + self._within
         self._asked.set()

@@ -12,6 +12,7 @@ from types import FrameType
 from typing import NoReturn
 
 from ...schemas.errors import Stopped, one_line
+from ...schemas.stop_signals import stop_signals
 from .stderr import STDERR
 
 
@@ -64,8 +65,8 @@ def resumable(directory: Path, again: str | None = None, *, options: Sequence[st
 
 
 def take_signals(handler: Callable[[int, FrameType | None], None] | signal.Handlers) -> None:
-    """Set the handler of SIGINT and SIGTERM."""
-    for number in (signal.SIGINT, signal.SIGTERM):
+    """Set the handler of the signals that end a command."""
+    for number in stop_signals():
         signal.signal(number, handler)
 
 

@@ -61,6 +61,7 @@ def router(
     from ...schemas.errors import LinkError  # noqa: PLC0415
     from ...schemas.link import asks_for_secret, check_own  # noqa: PLC0415
     from ...schemas.secret import shared_secret  # noqa: PLC0415
+    from ...schemas.stop_signals import stop_signals  # noqa: PLC0415
     from ..fleet.router import route  # noqa: PLC0415
     from ..run.certificate_end import end_announced  # noqa: PLC0415
     from ..run.systemd import Systemd  # noqa: PLC0415
@@ -77,7 +78,7 @@ def router(
         expired.set()
         ended.set()
 
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in stop_signals():
         signal.signal(number, lambda *_: ended.set())
     systemd, printed = Systemd(), ""
     with (

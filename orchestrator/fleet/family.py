@@ -10,6 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ...schemas.places import own_place
+from ...schemas.stop_signals import stop_signals
 
 GRACE = 5.0
 """Seconds in which a child that hangs may write where it hangs."""
@@ -22,7 +23,7 @@ _FRAME = re.compile(r'^  File "(.+)", line (\d+) in', re.MULTILINE)
 
 @contextmanager
 def held_signals() -> Iterator[Callable[[], None]]:
-    """Hold SIGINT and SIGTERM back until the function that this yields is called, or the block ends.
+    """Hold the signals that end a command back until the function that this yields is called, or the block ends.
 
     A handler that raises while a child starts would leave a child that nobody knows, and so nobody ends.
     """
@@ -30,10 +31,7 @@ def held_signals() -> Iterator[Callable[[], None]]:
         yield lambda: None  # only the main thread runs handlers
         return
     came: list[int] = []
-    before = {
-        number: signal.signal(number, lambda number, _frame: came.append(number))
-        for number in (signal.SIGINT, signal.SIGTERM)
-    }
+    before = {number: signal.signal(number, lambda number, _frame: came.append(number)) for number in stop_signals()}
 
     def release() -> None:
         while before:

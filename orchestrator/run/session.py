@@ -22,6 +22,7 @@ from ...schemas.facts import Header
 from ...schemas.platforms import ANY, platform_class
 from ...schemas.rollout import RolloutRequest
 from ...schemas.secret import VARIABLE
+from ...schemas.stop_signals import stop_signals
 from ...schemas.system import SystemSpec
 from ..campaign.checks import check_new
 from ..campaign.software import other_numerics, software
@@ -405,7 +406,7 @@ def _signals(put: Callable[[int], None]) -> Iterator[None]:
         taken.append(number)
         put(number)
 
-    before = {number: signal.signal(number, take) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, take) for number in stop_signals()}
     try:
         yield
     finally:

@@ -12,6 +12,7 @@ from rich.text import Text
 from threadpoolctl import LibController, ThreadpoolController
 
 from ..schemas.errors import Stopped
+from ..schemas.stop_signals import stop_signals
 
 
 class _OneThread:
@@ -85,11 +86,11 @@ def interruptible(directory: Path, console: Console) -> Iterator[None]:
 
     Raises:
         KeyboardInterrupt: SIGINT came.
-        SystemExit: SIGTERM came.
+        SystemExit: SIGTERM or SIGHUP came.
 
     """
     main = threading.current_thread() is threading.main_thread()
-    before = [(number, signal.getsignal(number)) for number in (signal.SIGINT, signal.SIGTERM) if main]
+    before = [(number, signal.getsignal(number)) for number in stop_signals() if main]
     try:
         yield
     except Stopped as stopped:

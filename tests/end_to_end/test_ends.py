@@ -173,8 +173,8 @@ def test_after_its_hours_a_worker_finishes_what_is_under_way(started: Processes,
     finish(started, orchestrator, endpoint, tests=20)
 
 
-@pytest.mark.parametrize("kind", ["steps", "native"])
-def test_a_signal_lets_a_short_rollout_end(started: Processes, slow: Slow, kind: str) -> None:
+@pytest.mark.parametrize(("kind", "number"), [("steps", signal.SIGTERM), ("native", signal.SIGHUP)])
+def test_a_signal_lets_a_short_rollout_end(started: Processes, slow: Slow, kind: str, number: int) -> None:
     orchestrator, endpoint = slow(f"3 {kind}")
     one = worker(started, endpoint)
     # The first result counts once its repetition has confirmed its time grid.
@@ -183,12 +183,34 @@ def test_a_signal_lets_a_short_rollout_end(started: Processes, slow: Slow, kind:
     begun.unlink()
     # Not only assigned: what has not begun is handed back at once.
     wait_for(begun.exists)
-    one.popen.terminate()
+    one.popen.send_signal(number)
     assert one.wait().code == STOPPED, one.err
     assert recorded(started.folder / "run") > 1
     assert outcomes(started) <= {"recorded", "handed back"}
     assert not under_way(started.folder / "run")
     finish(started, orchestrator, endpoint)
+
+
+def test_a_terminal_that_closes_ends_an_orchestrator_as_a_signal_of_a_manager(started: Processes, slow: Slow) -> None:
+    orchestrator, _ = slow("0.01 steps")
+    orchestrator.popen.send_signal(signal.SIGHUP)
+    ended = orchestrator.wait()
+    assert ended.code == 128 + signal.SIGHUP, ended.err
+    assert ended.last_line.startswith("perfbound: stopped; continue with: perfbound resume run")
+
+
+def test_under_nohup_a_terminal_may_close(started: Processes, slow: Slow) -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # which processes that are started now inherit
+    try:
+        orchestrator, endpoint = slow("0.01 steps")
+        one = worker(started, endpoint, "--until-done")
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    orchestrator.popen.send_signal(signal.SIGHUP)
+    wait_for(lambda: recorded(started.folder / "run") > 0)
+    one.popen.send_signal(signal.SIGHUP)
+    assert orchestrator.wait().code == 0, orchestrator.err
+    assert one.wait().code == 0, one.err
 
 
 @pytest.mark.parametrize("kind", ["steps", "native"])

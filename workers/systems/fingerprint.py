@@ -14,6 +14,8 @@ LARGEST = 2**20
 """Bytes of a file of an installed package that belongs to its code; larger ones are data."""
 REQUIREMENT = re.compile(r"[A-Za-z0-9._-]+")
 CACHES = frozenset({"__pycache__"})
+LOADED_BEFORE = frozenset({"numpy", "pydantic"})
+"""Packages that every process of perfbound imports before any system: a file of that name beside one is not executed."""
 
 
 def file_sha256(path: Path) -> str:
@@ -93,6 +95,8 @@ def _required(name: str) -> Iterator[tuple[str, str]]:
 
 def _imported_files(source: Path, folder: Path) -> Iterator[Path]:
     for level, name in _imports(source):
+        if not level and name.partition(".")[0] in LOADED_BEFORE:
+            continue
         base = source.parents[level - 1] if level else folder
         path = base.joinpath(*filter(None, name.split(".")))
         # Of `from a.b import c`, c may be a module or a name in a/b.py; of a package its __init__ runs, too.

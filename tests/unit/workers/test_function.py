@@ -312,6 +312,13 @@ def test_another_code_is_another_system(folder: Path) -> None:
     assert load_file(written(folder, CARS.format(more="# another comment"))).spec.digest != before
 
 
+def test_a_file_of_the_name_of_a_package_that_is_loaded_before_is_no_code(folder: Path) -> None:
+    (folder / "numpy.py").write_text("raise RuntimeError('executed')")
+    spec = load_file(written(folder)).spec
+    assert sorted(spec.code) == ["cars.py"]
+    assert "numpy" in spec.versions
+
+
 def test_modules_with_names_of_ours_harm_nothing(folder: Path) -> None:
     for name in ("schemas", "workers", "orchestrator"):
         (folder / f"{name}.py").write_text("HERE = True")
