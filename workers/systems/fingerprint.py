@@ -15,7 +15,7 @@ LARGEST = 2**20
 REQUIREMENT = re.compile(r"[A-Za-z0-9._-]+")
 CACHES = frozenset({"__pycache__"})
 LOADED_BEFORE = frozenset({"numpy", "pydantic"})
-"""Packages that every process of perfbound imports before any system: a file of that name beside one is not executed."""
+"""Packages that every process of perfbound imports before any system: a file of that name beside it is not executed."""
 
 
 def file_sha256(path: Path) -> str:
