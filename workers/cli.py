@@ -18,6 +18,7 @@ from ..schemas.base import canonical_json
 from ..schemas.blas import one_blas_thread
 from ..schemas.certificates import check_role, common_name
 from ..schemas.errors import LinkError, PerfboundError
+from ..schemas.host import host_fault
 from ..schemas.link import Tls, asks_for_secret
 from ..schemas.secret import VARIABLE, WEB_VARIABLE, shared_secret
 from .ends import IDLE_EXIT, STOP_WITHIN, EndOptions
@@ -327,7 +328,12 @@ def measure(answers: int, begin: int, folder: str | None, keep: str | None) -> N
 def main() -> None:
     """`perfbound-worker`."""
     _begin()
-    serve()
+    try:
+        serve()
+    except Exception as error:
+        if (fault := host_fault(error)) is None:
+            raise
+        fail(fault)
 
 
 def _begin() -> None:

@@ -11,6 +11,7 @@ from ..schemas import __version__
 from ..schemas.errors import PerfboundError, RefusedError, ReplacedError
 from ..schemas.failure import Failure, FailureKind
 from ..schemas.heartbeats import HEARTBEAT
+from ..schemas.host import host_name
 from ..schemas.messages import (
     MAX_RESULT,
     PROTOCOL,
@@ -245,7 +246,7 @@ class WorkerProcess:
             protocol=PROTOCOL,
             version=__version__,
             worker=self.name,
-            host=os.uname().nodename,
+            host=host_name(),
             platform=platform_class(),
             pid=os.getpid(),
             systems=self._systems,

@@ -9,6 +9,7 @@ from types import FrameType
 
 from ...schemas.blas import one_blas_thread
 from ...schemas.errors import PerfboundError, Stopped
+from ...schemas.host import host_fault
 from .exits import end, process_end, take_signals
 from .group import cli
 from .pipes import readers_may_end
@@ -63,4 +64,8 @@ def _main() -> None:
     except PerfboundError as error:
         end(*error.lines, code=1)
     except OSError as error:
-        end(f"{error.filename or 'file system'}: {error.strerror or error}", code=1)
+        end(host_fault(error) or f"{error.filename or 'file system'}: {error.strerror or error}", code=1)
+    except Exception as error:
+        if (fault := host_fault(error)) is None:
+            raise
+        end(fault, code=1)

@@ -12,6 +12,7 @@ from types import FrameType
 from typing import NoReturn
 
 from ...schemas.errors import Stopped, one_line
+from ...schemas.host import host_fault
 from ...schemas.stop_signals import stop_signals
 from .stderr import STDERR
 
@@ -58,6 +59,8 @@ def resumable(directory: Path, again: str | None = None, *, options: Sequence[st
     except OSError as error:
         end(f"{error.filename or directory}: {error.strerror or error}; {remedy('fix this, then ')}", code=1)
     except Exception as error:
+        if (fault := host_fault(error)) is not None:
+            end(f"{fault}; {remedy('then ')}", code=1)
         cause = getattr(error, "orig", None)  # SQLAlchemy's wrapping
         if not isinstance(cause, sqlite3.Error):
             raise

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from ...schemas.errors import PerfboundError
+from ...schemas.host import host_name
 from ..store import lock, stop_request
 from .early import check_directory
 from .group import RUN_DIRECTORY, cli
@@ -73,7 +74,7 @@ def _why_not_running(directory: Path) -> str:
         return "the campaign has finished, nothing is left to stop"
     host, _pid = last_session(directory)
     again = continue_command(directory)
-    if host is not None and host != os.uname().nodename:
+    if host is not None and host != host_name():
         return (
             f"no process of this machine runs the campaign; the last one that did was on {host}: stop it there, or "
             f"continue here with `{again}` if it has ended"

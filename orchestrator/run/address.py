@@ -2,13 +2,13 @@
 
 import errno
 import ipaddress
-import os
 import re
 import socket
 import time
 from dataclasses import dataclass
 
 from ...schemas.errors import PerfboundError
+from ...schemas.host import host_name
 
 BACKLOG = 64
 """Connections that may wait to be accepted."""
@@ -54,7 +54,7 @@ class Address:
 
     def url_with(self, scheme: str) -> str:
         """Return the address for a browser, by `http` or `https`."""
-        host = os.uname().nodename if self.everywhere else self.host
+        host = host_name() if self.everywhere else self.host
         return f"{scheme}://{f'[{host}]' if ':' in host else host}:{self.port}/"
 
     def __str__(self) -> str:

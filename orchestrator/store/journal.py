@@ -17,6 +17,7 @@ from ...schemas.atomic import move, temporary
 from ...schemas.base import canonical_json
 from ...schemas.errors import JournalError
 from ...schemas.facts import Fact, Header, ProposalFact, RolloutFact
+from ...schemas.host import host_name
 from ...schemas.ids import RolloutId
 from ...schemas.platforms import platform_class
 from . import tables
@@ -247,7 +248,7 @@ def _position(connection: Connection, directory: Path) -> tuple[int, int]:
 
 def _open_session(connection: Connection, version: int, origin: Origin) -> int:
     with connection.begin():
-        row: dict[str, Any] = {"host": os.uname().nodename, "pid": os.getpid(), "started": time.time()}
+        row: dict[str, Any] = {"host": host_name(), "pid": os.getpid(), "started": time.time()}
         known = {
             "system": origin.system,
             "revision": origin.revision,

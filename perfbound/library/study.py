@@ -31,6 +31,7 @@ from ..schemas.campaign import CampaignConfig
 from ..schemas.errors import PerfboundError, RequestError, UnusableTrajectoryError, shortened
 from ..schemas.facts import RECORDED, RESTORED, Header
 from ..schemas.failure import Failure
+from ..schemas.host import host_name
 from ..schemas.ids import Attempt, RolloutId
 from ..schemas.input_signal import start_values
 from ..schemas.link import LOCAL
@@ -147,7 +148,7 @@ class _Rollouts:
     def _attempt(self, rollout: RolloutId) -> Attempt:
         attempt = Attempt(rollout, self._attempts.get(rollout, 0) + 1)
         self._attempts[rollout] = attempt.number
-        self._journal.attempts.started(attempt, TOLD_BY, os.uname().nodename, os.getpid())
+        self._journal.attempts.started(attempt, TOLD_BY, host_name(), os.getpid())
         return attempt
 
     def _take(self, work: Work) -> None:

@@ -1,6 +1,7 @@
 """The ends of workers: when the campaign is finished, when there is none, when their time is over, and by SIGTERM."""
 
 import json
+import os
 import signal
 import socket
 from collections.abc import Callable
@@ -244,3 +245,14 @@ def test_a_second_signal_ends_a_worker_at_once(started: Processes, slow: Slow) -
     assert one.wait().code in (STOPPED, -signal.SIGTERM)
     wait_for(lambda: any("worker lost" in each for each in outcomes(started)))
     finish(started, orchestrator, endpoint)
+
+
+def test_a_folder_whose_name_is_no_utf_8_is_one_line(started: Processes) -> None:
+    folder = started.folder / os.fsdecode(b"bad\xff")
+    folder.mkdir()
+    (folder / "slow.py").write_text(SYSTEM)
+    (folder / "c.toml").write_text(CAMPAIGN.format(tests=4))
+    ended = started.run("perfbound", "run", folder / "c.toml", "--out", started.folder / "run")
+    assert ended.code == 1
+    assert "\\udcff" in ended.last_line
+    assert "this name is no UTF-8 text, which messages and the database need; rename it" in ended.last_line

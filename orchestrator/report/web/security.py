@@ -7,13 +7,12 @@ one accepts its own names only. A page with a token accepts no request without i
 One path is open to all: a probe knows neither name nor token, and learns no more than whether the page lives.
 """
 
-import os
-
 from starlette.datastructures import MutableHeaders
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from ....schemas.host import host_name
 from ...run.address import Address
 from ...run.page_access import OPEN, PageAccess
 from .page_token import CookieCheck, TokenCheck
@@ -34,7 +33,7 @@ HEADERS = {
 
 def restricted(application: ASGIApp, address: Address, access: PageAccess = OPEN) -> ASGIApp:
     """Return the application behind the checks; it accepts `localhost`, loopback numbers and the host of `address`."""
-    host = os.uname().nodename if address.everywhere else address.host
+    host = host_name() if address.everywhere else address.host
     hosts = ["localhost", "127.0.0.1", "[::1]", f"[{host}]" if ":" in host else host]
     if access.token is None:
         guarded: ASGIApp = TrustedHostMiddleware(application, hosts, www_redirect=False)
