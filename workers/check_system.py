@@ -26,6 +26,7 @@ from ..schemas.messages import MAX_RESULT
 from ..schemas.places import of_perfbound, own_place
 from ..schemas.system_check import Measured, SampleTimes, Trial
 from ..schemas.trajectory import Trajectory, decode
+from .faults import NOT_OF_SYSTEMS
 from .opened import Opened
 from .simulate import requested_system, run_request_on
 from .systems import load_system
@@ -111,7 +112,9 @@ def _measured(trial: Trial, kept: Path | None) -> Measured:
         trajectory = decode(payload)
         if kept is not None:
             kept.write_bytes(payload)
-    except (Exception, SystemExit) as error:  # noqa: BLE001  (any: the judge is the orchestrator)
+    except NOT_OF_SYSTEMS:
+        raise
+    except BaseException as error:  # noqa: BLE001  (any: the judge is the orchestrator)
         return _failed(error, time.perf_counter() - started)
     t = trajectory.samples[:, 0]
     return Measured(

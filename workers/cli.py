@@ -267,7 +267,7 @@ def _trajectory_file(request: str) -> bytes:
     from pydantic import ValidationError  # noqa: PLC0415
 
     from ..schemas.rollout import RolloutRequest  # noqa: PLC0415
-    from .faults import fault_text  # noqa: PLC0415
+    from .faults import NOT_OF_SYSTEMS, fault_text  # noqa: PLC0415
     from .simulate import run_request  # noqa: PLC0415
 
     try:
@@ -278,7 +278,9 @@ def _trajectory_file(request: str) -> bytes:
         fail(f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}")
     except PerfboundError as error:
         fail(str(error))
-    except (Exception, SystemExit) as error:  # noqa: BLE001  (any: the code of the system)
+    except NOT_OF_SYSTEMS:
+        raise
+    except BaseException as error:  # noqa: BLE001  (any: the code of the system)
         fail(fault_text(error))
 
 

@@ -3,8 +3,12 @@
 import traceback
 from pathlib import Path
 
+from ..schemas.errors import Stopped
 from ..schemas.places import own_frame
 
+NOT_OF_SYSTEMS = KeyboardInterrupt, Stopped
+"""What ends this process, and says nothing about a system. All else is the system's, also what is no `Exception`: the
+cancellation of an event loop, `SystemExit`, the panic of a library in Rust."""
 LONGEST_TEXT = 3000
 """Characters of an exception's own text, so that its place behind it is never cut off."""
 

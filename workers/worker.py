@@ -29,7 +29,7 @@ from ..schemas.platforms import platform_class
 from ..schemas.ranges import within_steps
 from ..schemas.rollout import RolloutRequest
 from ..schemas.system import SystemSpec
-from .faults import fault_text
+from .faults import NOT_OF_SYSTEMS, fault_text
 from .heartbeats import Heartbeats
 from .parcels import Key, Parcels, key_of
 from .simulate import requested_system, run_request_on
@@ -203,7 +203,9 @@ class WorkerProcess:
             return Failure("infrastructure", str(fault))
         except PerfboundError as fault:
             return Failure(kind, str(fault) or type(fault).__name__)
-        except (Exception, SystemExit) as fault:  # noqa: BLE001  (any: the orchestrator decides on a retry)
+        except NOT_OF_SYSTEMS:
+            raise
+        except BaseException as fault:  # noqa: BLE001  (any: the orchestrator decides on a retry)
             return Failure(kind, fault_text(fault))
         if len(payload) > (most := min(MAX_RESULT, system.spec.largest_file)):
             size = f"{len(payload)} bytes, more than the {most} of a result"

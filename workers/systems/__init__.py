@@ -8,7 +8,7 @@ from typing import cast
 
 from ...schemas.errors import DefinitionError, PerfboundError, UnknownSystemError
 from ...schemas.system import SystemSpec
-from ..faults import fault_text
+from ..faults import NOT_OF_SYSTEMS, fault_text
 from .base import SystemUnderTest
 from .declared import DeclaredFiles, WithSpec, declared_files
 from .fingerprint import code_of_files, files_of_module, versions_of
@@ -68,7 +68,9 @@ def _spec_or_reason(name: str) -> SystemSpec | str:
         return load_system(name).spec
     except PerfboundError as error:
         return str(error)
-    except (Exception, SystemExit) as error:  # noqa: BLE001  (any: a broken plug-in must not hide the others)
+    except NOT_OF_SYSTEMS:
+        raise
+    except BaseException as error:  # noqa: BLE001  (any: a broken plug-in must not hide the others)
         return f"{name}: it cannot be loaded: {fault_text(error)}; install its package again"
 
 

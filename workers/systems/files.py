@@ -11,6 +11,7 @@ from types import ModuleType
 from ...schemas.campaign_file import load_description
 from ...schemas.errors import DefinitionError
 from ...schemas.places import PACKAGES
+from ..faults import NOT_OF_SYSTEMS
 from .base import SystemUnderTest
 from .declared import DeclaredFiles, WithSpec, declared_files
 from .fingerprint import code_of_files, sources_of, versions_of
@@ -125,7 +126,9 @@ def _imported(path: Path) -> ModuleType:
         raise DefinitionError(f"{path}: {error}") from None
     except SyntaxError as error:
         raise DefinitionError(f"{error.filename}, line {error.lineno}: {error.msg}") from None
-    except (Exception, SystemExit) as error:  # noqa: BLE001  (any: untrusted code; the reason is in the message)
+    except NOT_OF_SYSTEMS:
+        raise
+    except BaseException as error:  # noqa: BLE001  (any: untrusted code; the reason is in the message)
         place = next(
             (each for each in reversed(traceback.extract_tb(error.__traceback__)) if each.filename == str(path)), None
         )

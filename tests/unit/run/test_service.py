@@ -1,5 +1,6 @@
 """A whole campaign in one process: the certificate does not depend on timing, and no bad message is accepted."""
 
+import asyncio
 import copy
 import hashlib
 import json
@@ -534,6 +535,7 @@ def test_a_system_that_always_fails_ends_the_campaign_with_its_story(
         (raising(RuntimeError("recorded")), "RuntimeError: recorded"),
         (raising(SimulationError("recorded")), "failed: recorded"),
         (raising(SystemExit("no licence")), "SystemExit: no licence"),
+        (raising(asyncio.CancelledError("of a loop")), "CancelledError: of a loop"),
     ],
 )
 def test_a_system_that_fails_once_is_irreproducible(

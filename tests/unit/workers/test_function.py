@@ -338,6 +338,7 @@ def test_modules_with_names_of_ours_harm_nothing(folder: Path) -> None:
         ("def cars(:", "cars", r"cars\.py, line 1: "),
         ("import nowhere_at_all", "cars", r"cars\.py, line 1: ModuleNotFoundError: No module named 'nowhere_at_all'"),
         ("\nraise SystemExit(3)", "cars", r"cars\.py, line 2: SystemExit: 3"),
+        ("\nraise BaseException('panic')", "cars", r"cars\.py, line 2: BaseException: panic"),
         (CARS.format(more=""), "bikes", "there is no 'bikes' in it"),
         ("def cars(x): return x", "cars", "cars is function and no system; put @perfbound.system above it"),
         (CARS.format(more="").replace("def cars(x)", "def cars(y)"), "cars", "positional arguments are y"),

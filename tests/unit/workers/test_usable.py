@@ -60,7 +60,7 @@ def test_without_a_simulator_the_segway_says_how_to_get_it_and_hides_no_other(mo
     assert found["test-function"] == TestFunctionSystem().spec
 
 
-@pytest.mark.parametrize("fault", [ImportError("no module 'jax'"), SystemExit(3), ZeroDivisionError()])
+@pytest.mark.parametrize("fault", [ImportError("no module 'jax'"), SystemExit(3), ZeroDivisionError(), BaseException()])
 def test_a_broken_plug_in_hides_no_other(monkeypatch: pytest.MonkeyPatch, fault: BaseException) -> None:
     def load(name: str) -> Any:
         if name == "segway":
