@@ -92,6 +92,8 @@ class RolloutFact:
     size: int
     path: str
     robustness: float | None
+    by_tolerance: bool = False
+    """Whether the tolerance around its time stamps could decide a sign, that of a requirement included."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,9 +25,11 @@ SAMPLES = 50
 """The last stamp may precede the horizon by one step, but by no more than the horizon divided by this."""
 FLOAT32 = 2.0**-23
 """Relative resolution of float32: neighbours at t differ by at most t times this."""
+STRICT = 1e-9, 2.0**-49
+"""Share and relative resolution of numbers that are equal but for how they are written: 0.1 s three times is 0.3 s."""
 
 
-def slack(times: Floats) -> Floats:
+def slack(times: Floats, share: float = SHARE, relative: float = FLOAT32) -> Floats:
     """Return how far from each stamp (T,) in s a moment is still the same instant, shape (T,).
 
     >>> slack(np.array([0.0, 0.1, 0.2])).tolist()
@@ -36,23 +38,25 @@ def slack(times: Floats) -> Floats:
     steps = np.diff(times)
     steps = steps[steps > 0.0]  # the two stamps of a jump are one instant
     if not len(steps):
-        return np.full(len(times), abs(times[-1]) * FLOAT32 if len(times) else 0.0)
+        return np.full(len(times), abs(times[-1]) * relative if len(times) else 0.0)
     # Number of the instant that a stamp belongs to; an instant at an end has one neighbour.
     instant = np.concatenate(([0], np.cumsum(np.diff(times) > 0.0)))
     before, after = np.concatenate((steps[:1], steps))[instant], np.concatenate((steps, steps[-1:]))[instant]
-    resolution = np.abs(times) * FLOAT32
+    resolution = np.abs(times) * relative
     # An event a hair after a sample has a long step on its other side; a grid finer than float32 has none.
     resolution = np.where(np.maximum(before, after) > resolution, resolution, 0.0)
-    found: Floats = np.maximum(SHARE * np.minimum(before, after), resolution)
+    found: Floats = np.maximum(share * np.minimum(before, after), resolution)
     return found
 
 
-def reached(times: Floats) -> tuple[Floats, Floats]:
+def reached(times: Floats, *, strict: bool = False) -> tuple[Floats, Floats]:
     """Return the earliest and the latest moment of each stamp's instant, both not decreasing, shapes (T,).
 
-    A window [a, b] has the samples with latest >= a and earliest <= b.
+    A window [a, b] has the samples with latest >= a and earliest <= b. A `strict` instant is the number alone.
     """
     around = slack(times)
+    if strict:
+        around = np.minimum(around, slack(times, *STRICT))
     # Where stamps are closer than their slack, the run of samples in a window has no gap all the same.
     earliest = np.minimum.accumulate((times - around)[::-1])[::-1]
     return earliest, np.maximum.accumulate(times + around)

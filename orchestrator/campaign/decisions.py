@@ -102,15 +102,17 @@ class ProblemDecisions:
         return rollout_seed(self._header, rollout)
 
 
-def robustness(observer: Observer, rollout: RolloutId, trajectory: Trajectory) -> float | None:
-    """Return the clipped robustness of a rollout; None for a campaign without specification.
+def robustness(observer: Observer, rollout: RolloutId, trajectory: Trajectory) -> tuple[float | None, bool]:
+    """Return the clipped robustness of a rollout, and whether the tolerance of its stamps could decide its sign.
+
+    None and False for a campaign without specification.
 
     Raises:
         PerfboundError: it cannot be evaluated; the message names the rollout.
 
     """
     with naming(f"rollout {rollout}"):
-        return observer.robustness(trajectory)
+        return observer.robustness(trajectory), observer.decided_by_tolerance(trajectory)
 
 
 @contextmanager

@@ -169,11 +169,11 @@ class Ledger:
             # No fact: it has been recorded. The campaign continues when the last damaged file is back.
             self._restoration.restore(rollout, payload, sha256, self._files)
             return Work() if self._restoration else self.outstanding()
-        value = robustness(self.observer, rollout, trajectory)
+        found = robustness(self.observer, rollout, trajectory)
         path = evidence.relative_path(rollout)
         self._files.write(evidence.inside(self._directory, path), payload)
         self.recorded.keep(rollout, trajectory)
-        return self._advance(self._write(RolloutFact(rollout, seed, sha256, len(payload), path, value)))
+        return self._advance(self._write(RolloutFact(rollout, seed, sha256, len(payload), path, *found)))
 
     def _advance(self, actions: Iterable[state.Action]) -> Work:
         """Carry out actions and those that follow from them, until only simulations are left."""

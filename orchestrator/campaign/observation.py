@@ -13,6 +13,7 @@ from ...schemas.values import Observation
 from ..mathematics.bounds.risk import linearised
 from ..mathematics.stl.parser import Formula, parse_formula
 from ..mathematics.stl.predicates import predicate_sup
+from ..mathematics.stl.robustness import decided_by_tolerance
 from . import objectives
 from .plan import UNBOUNDED, ProblemPlan
 
@@ -63,6 +64,12 @@ class Observer:
             found = objectives.clipped_robustness(self._parsed, trajectory.columns, trajectory.samples, self._clip)
             self._scored[trajectory] = found
         return found
+
+    def decided_by_tolerance(self, trajectory: Trajectory) -> bool:
+        """Whether the tolerance of its time stamps could decide the sign of the specification, or of a requirement."""
+        # A clip of one sign leaves nothing to decide, but changes no word: the sign is that of the specification.
+        formulas = ([] if self._parsed is None else [self._parsed]) + self._requirements
+        return any(decided_by_tolerance(each, trajectory.columns, trajectory.samples) for each in formulas)
 
     def robustness_of(self, plan: ProblemPlan, trajectory: Trajectory) -> float | None:
         """Return the robustness that a problem is about: where it has a requirement, of that one."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from ...schemas.base import canonical_json
 from ...schemas.errors import IllegalEvent
 from ...schemas.facts import BoundFact, DiscardFact, ObservationFact, ProposalFact, RolloutFact, next_link
+from ...schemas.ids import RolloutId
 from ...schemas.values import MARKED, Bound, Observation, ProblemProgress, Proposal, distance_after
 
 ROUND_OFF = 1e-9
@@ -33,6 +34,8 @@ class Series:
     observations: MutableSequence[float] = field(default_factory=lambda: array("d"))
     each: list[tuple[float, ...]] = field(default_factory=list)
     nodes: list[int] = field(default_factory=list)
+    by_tolerance: list[RolloutId] = field(default_factory=list)
+    """The closed tests' rollouts whose sign the tolerance around time stamps could decide."""
     counts: dict[str, int] = field(default_factory=lambda: {"nominal": 0, "true": 0})
     last_proposal: Proposal | None = None
     last_rollouts: list[RolloutFact] = field(default_factory=list)
@@ -79,6 +82,7 @@ class Series:
         self.nodes.append(self.last_proposal.node)
         for rollout in rollouts:
             self.counts[rollout.rollout.variant] += 1
+        self.by_tolerance += sorted(each.rollout for each in rollouts if each.by_tolerance)
         return rollouts
 
     def bound(self, fact: BoundFact) -> None:

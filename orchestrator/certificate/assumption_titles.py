@@ -3,6 +3,7 @@
 STATEMENTS = {
     "accounting": "failure probabilities of the two problems are added",
     "bounded_values": "the clip bounds the value of every rollout",
+    "borders": "a time stamp close to a border of a window belongs to the window",
     "bounds_agree": "the bounds from both sides do not contradict each other",
     "centred_noise": "an observation is right on average",
     "clip": "the claim is about the clipped robustness",

@@ -101,7 +101,7 @@ def assumptions(
     else:
         found.append(assumption("finite_rollouts", "derived", rollouts))
         found.append(_reproducible(checks.recheck, measured=measured, irreproducible=irreproducible))
-    found += [*_discarded(ledger), *_extended(ledger)]
+    found += [*_borders(ledger), *_discarded(ledger), *_extended(ledger)]
     if set(PAIR) <= set(accounts):
         # The product needs that neither problem uses the other's data; only method `paper` claims it.
         if all(accounts[name].plan.problem.method == "paper" for name in PAIR):
@@ -117,6 +117,15 @@ def assumptions(
     names = TRUSTED if ledger.header.rules > 2 else [each for each in TRUSTED if each != UNRELATED]
     trusted = [assumption(name, "assumed", form=forms.get(name)) for name in names]
     return [*found, *(honest if honest and each.id == honest.id else each for each in trusted)]
+
+
+def _borders(ledger: Ledger) -> Iterator[Assumption]:
+    """Yield a line where the tolerance around time stamps could decide the sign of rollouts."""
+    decided = [rollout for series in ledger.series.values() for rollout in series.by_tolerance]
+    if decided:
+        rollouts = sum(sum(series.counts.values()) for series in ledger.series.values())
+        values: dict[str, float | int | str] = {"decided": len(decided), "rollouts": rollouts, "first": str(decided[0])}
+        yield assumption("borders", "assumed", values)
 
 
 def _discarded(ledger: Ledger) -> Iterator[Assumption]:

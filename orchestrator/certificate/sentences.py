@@ -266,6 +266,12 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "refuted": "the rollouts of the spot check contradict that the expectation keeps the bound {limit} at every "
         "start (most clearly at {start}): the norm bound, the kernel, the prior mean or the noise scale is wrong.",
     },
+    "borders": {
+        "assumed": "in {decided} of {rollouts} rollouts, those of the closing checks included (the first is {first}), "
+        "a time stamp is so close to a border of a window, within a hundredth of a step or the resolution of float32, "
+        "that the two count as the same instant, and on that could depend whether the rollout violates the "
+        "specification.",
+    },
     "finite_rollouts": {
         "derived": "all {rollouts} rollouts behind the bounds are finite: a rollout that never becomes finite ends the "
         "campaign without a certificate.",

@@ -12,6 +12,7 @@ from ...schemas.errors import PerfboundError
 from ...schemas.ids import RECHECK, RolloutId, closing_check
 from ...schemas.trajectory import decode
 from ..mathematics.stl.parser import parse_formula
+from ..mathematics.stl.robustness import decided_by_tolerance
 from ..mathematics.stl.robustness import robustness as evaluated
 from ..store import read
 from ..store.files import read_evidence
@@ -30,6 +31,8 @@ class ScoredRollout:
     rollout: str
     variant: str
     robustness: float
+    by_tolerance: bool
+    """Whether the tolerance around its time stamps could decide the sign."""
 
 
 def scored(directory: Path, specification: str, report: Callable[[str, int, int], None]) -> list[ScoredRollout]:
@@ -53,9 +56,10 @@ def scored(directory: Path, specification: str, report: Callable[[str, int, int]
         trajectory = decode(read_evidence(directory, path, sha256))
         try:
             value = evaluated(formula, trajectory.columns, trajectory.samples)
+            border = decided_by_tolerance(formula, trajectory.columns, trajectory.samples)
         except ValueError as error:
             raise PerfboundError(f"--specification: {rollout}: {error}") from None
-        found.append(ScoredRollout(str(rollout), rollout.variant, float(value)))
+        found.append(ScoredRollout(str(rollout), rollout.variant, float(value), border))
     return found
 
 
@@ -69,6 +73,8 @@ def score_lines(directory: Path, specification: str, found: Sequence[ScoredRollo
         yield ""
         below = sum(each.robustness < 0 for each in of_variant)
         yield f"{variant}: {below:,} of {len(of_variant):,} rollouts violate it"
+        if close := sum(each.by_tolerance for each in of_variant):
+            yield f"  in {close:,} of them that may depend on a time stamp within a hundredth of a step of a border"
         yield from bars([each.robustness for each in of_variant])
         for each in of_variant[:WORST]:
             start = zip(names, starts[RolloutId.parse(each.rollout)[:2]], strict=True)

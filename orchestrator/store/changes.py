@@ -30,7 +30,6 @@ _COUNTS = (
     .group_by(_rollouts.problem)
 )
 _VIOLATING = _rollouts.robustness < 0
-_VIOLATIONS = sa.select(tables.rollouts).where(_rollouts.seq > _SINCE, _VIOLATING).order_by(_rollouts.seq)
 _HOSTS = (
     sa.select(_attempts.worker, _attempts.host, sa.func.max(_STARTED).label("rowid"))
     .where(_STARTED > _SINCE)
@@ -101,6 +100,12 @@ class Session:
 
 
 _OUTCOME_FIELDS = tuple(each.name for each in fields(AttemptOutcome))
+
+
+@cache
+def _violations_query(version: int) -> sa.Select[Any]:
+    found = tables.rows_of(tables.rollouts, version).where(_rollouts.seq > _SINCE, _VIOLATING)
+    return found.order_by(_rollouts.seq)
 
 
 @cache
@@ -176,7 +181,7 @@ class ChangeReader:
                 for row in connection.execute(query, seq)
             ]
             counts = connection.execute(_COUNTS, seq).all()
-            violations = connection.execute(_VIOLATIONS, seq).all()
+            violations = connection.execute(_violations_query(self._version), seq).all()
             outcomes = connection.execute(_outcomes_query(self._version), {"since": self._ended}).all()
             hosts = connection.execute(_HOSTS, {"since": self._started}).all()
             sessions = connection.execute(_sessions_query(self._version)).all()
@@ -223,8 +228,9 @@ def rollouts_of(directory: Path, problem: str, test: int) -> tuple[RolloutFact, 
         JournalError: there is no campaign, or it cannot be read.
 
     """
-    this = sa.select(tables.rollouts).where(_rollouts.problem == problem, _rollouts.test == test)
     with reading(directory) as connection:
+        every = tables.rows_of(tables.rollouts, read_version(connection, directory))
+        this = every.where(_rollouts.problem == problem, _rollouts.test == test)
         rows = connection.execute(this.order_by(_rollouts.variant, _rollouts.replicate)).all()
     return tuple(_rollout(row, directory) for row in rows)
 

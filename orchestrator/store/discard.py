@@ -47,6 +47,7 @@ def _move(connection: Connection, fact: RolloutFact, kept: str, reason: str) -> 
     this = sa.and_(*(columns[name] == value for name, value in fact.rollout._asdict().items()))
     row: dict[str, Any] = dict(connection.execute(sa.select(tables.rollouts).where(this)).one()._mapping)
     newest = [connection.execute(sa.select(sa.func.max(table.c.seq))).scalar() or 0 for table in tables.FACTS]
+    row = {name: value for name, value in row.items() if name in tables.discards.c}
     row |= {"recorded": row["seq"], "seq": max(newest) + 1, "path": kept, "reason": reason}
     connection.execute(tables.discards.insert().values(**row))
     unguarded(connection, tables.rollouts, tables.rollouts.delete().where(this))

@@ -81,12 +81,13 @@ def export_table(name: str, header: Header, version: int) -> ExportTable:
         case "tests":
             return _tests_table(header)
         case "rollouts":
-            return _rollouts_table(name, header, _ROLLOUTS)
+            return _rollouts_table(name, header, _rollouts(version))
         case "observations":
             return _observations_table(header)
         case "counterexamples":
             # Not of the recheck: it repeats rollouts that are listed.
-            return _rollouts_table(name, header, _ROLLOUTS.where(_r.robustness < 0, _r.problem.not_like(f"{RECHECK}%")))
+            violating = _r.robustness < 0, _r.problem.not_like(f"{RECHECK}%")
+            return _rollouts_table(name, header, _rollouts(version).where(*violating))
         case "failures":
             return _failures_table(version)
         case "opinions":
@@ -160,7 +161,8 @@ _LAST = (
 )
 _ROLLOUTS = (
     sa.select(
-        *(_ID.label("id"), tables.rollouts, _t.x),
+        *(_ID.label("id"), _r.problem, _r.test, _r.variant, _r.replicate, _r.seed, _t.x),
+        *(_r.robustness, _r.path, _r.size, _r.sha256),
         *(_outcome.worker, _ATTEMPTS.label("attempts"), _outcome.wall_seconds, _outcome.cpu_seconds),
     )
     .join(tables.tests, (_t.problem == _r.problem) & (_t.test == _r.test))
@@ -176,6 +178,7 @@ _ROLLOUT = (
     ExportColumn("replicate", "integer"),
     ExportColumn("seed", "integer"),
 )
+_BORDER = ExportColumn("by_tolerance", "integer")
 _FILE = (ExportColumn("path", "text"), ExportColumn("size", "integer", "B"), ExportColumn("sha256", "text"))
 _ATTEMPT = (
     ExportColumn("worker", "text"),
@@ -185,15 +188,20 @@ _ATTEMPT = (
 )
 
 
+def _rollouts(version: int) -> sa.Select[Any]:
+    named = {column.name: column for column in tables.readable(tables.rollouts, version)}
+    return _ROLLOUTS.add_columns(named["by_tolerance"])
+
+
 def _rollouts_table(name: str, header: Header, query: sa.Select[Any]) -> ExportTable:
     robustness = ExportColumn("robustness", unit=robustness_unit(header.config, header.spec))
-    return ExportTable(name, (*_ROLLOUT, *_starts(header), robustness, *_FILE, *_ATTEMPT), query, _rollout_row)
+    return ExportTable(name, (*_ROLLOUT, *_starts(header), robustness, _BORDER, *_FILE, *_ATTEMPT), query, _rollout_row)
 
 
 def _rollout_row(row: Any) -> Iterator[Row]:
     which = (row.id, row.problem, row.test, row.variant, row.replicate, row.seed)
     attempt = (row.worker, row.attempts, row.wall_seconds, row.cpu_seconds)
-    yield *which, *json.loads(row.x), row.robustness, row.path, row.size, row.sha256, *attempt
+    yield *which, *json.loads(row.x), row.robustness, row.by_tolerance, row.path, row.size, row.sha256, *attempt
 
 
 # failures

@@ -134,7 +134,8 @@ class Journal:
         """Write one fact; inside `transaction` alone."""
         table, row = fact_row(fact)
         self._seq += 1
-        self._rows.add(tables.metadata.tables[table], {"seq": self._seq, **row})
+        known = {name: value for name, value in row.items() if has_column(table, name, self._version)}
+        self._rows.add(tables.metadata.tables[table], {"seq": self._seq, **known})
 
     def facts(self) -> Iterator[Fact]:
         """Yield all facts after the header in the order in which they were written."""
@@ -143,7 +144,7 @@ class Journal:
 
     def recorded(self) -> list[RolloutFact]:
         """Return all recorded rollouts, the newest first."""
-        newest = sa.select(tables.rollouts).order_by(tables.rollouts.c.seq.desc())
+        newest = tables.rows_of(tables.rollouts, self._version).order_by(tables.rollouts.c.seq.desc())
         with self._connection.begin():
             return [rollout_fact(row) for row in self._connection.execute(newest)]
 
@@ -157,7 +158,7 @@ class Journal:
         """Return a recorded rollout; inside or outside a transaction."""
         columns = tables.rollouts.c
         this = [columns[name] == value for name, value in rollout._asdict().items()]
-        (row,) = self._rows.read(sa.select(tables.rollouts).where(*this))
+        (row,) = self._rows.read(tables.rows_of(tables.rollouts, self._version).where(*this))
         return rollout_fact(row)
 
     @property

@@ -125,7 +125,7 @@ def read_facts(connection: Connection) -> Iterator[Fact]:
         (row.seq, make(row))
         for table, make in READERS.items()
         if has_table(table, version)
-        for row in connection.execute(sa.select(tables.metadata.tables[table]))
+        for row in connection.execute(tables.rows_of(tables.metadata.tables[table], version))
     ]
     rows.sort(key=lambda pair: pair[0])  # the order of the decisions: a replay takes the same way as the run
     for _, fact in rows:

@@ -27,7 +27,7 @@ from ...schemas.system import SystemSpec
 from ...schemas.values import Bound, Observation, Proposal
 
 DATABASE = "campaign.db"
-SCHEMA_VERSION = 8
+SCHEMA_VERSION = 9
 """Of a new database. A database keeps its version: its rows are written without the columns that it lacks."""
 READ_VERSIONS = tuple(range(1, SCHEMA_VERSION + 1))
 ADDED_IN = {
@@ -38,6 +38,7 @@ ADDED_IN = {
     ("sessions", "platform"): 5,
     ("sessions", "account"): 7,
     ("sessions", "options"): 8,
+    ("rollouts", "by_tolerance"): 9,
 }
 """(table, column) to the schema version that added it; every other column is as old as version 1.
 
@@ -139,7 +140,7 @@ def proposal_fact(row: Any) -> ProposalFact:
 def rollout_fact(row: Any) -> RolloutFact:
     """Read a row of `rollouts`."""
     rollout = RolloutId(row.problem, row.test, row.variant, row.replicate)
-    return RolloutFact(rollout, row.seed, row.sha256, row.size, row.path, row.robustness)
+    return RolloutFact(rollout, row.seed, row.sha256, row.size, row.path, row.robustness, bool(row.by_tolerance))
 
 
 def discard_fact(row: Any) -> DiscardFact:

@@ -13,10 +13,12 @@ from sqlalchemy import (
     ForeignKeyConstraint,
     Integer,
     MetaData,
+    Select,
     Table,
     Text,
     UniqueConstraint,
     null,
+    select,
 )
 from sqlalchemy.types import REAL
 
@@ -70,6 +72,7 @@ rollouts = Table(
     Column("size", Integer, nullable=False),  # bytes
     Column("path", Text, nullable=False),  # relative to the run directory
     Column("robustness", REAL),  # clipped; recomputed from the trajectory by `verify`
+    Column("by_tolerance", Integer),  # 1 where the tolerance around its time stamps could decide its sign
     UniqueConstraint("problem", "test", "variant", "replicate"),
     ForeignKeyConstraint(["problem", "test"], ["tests.problem", "tests.test"]),
     sqlite_strict=True,
@@ -221,6 +224,11 @@ def facts_of_version(version: int) -> list[Table]:
 def columns_of_version(table: Table, version: int) -> list[str]:
     """Return the names of a table's columns in a database of this schema version."""
     return [name for name, _ in table.c.items() if has_column(table.name, name, version)]
+
+
+def rows_of(table: Table, version: int) -> Select[Any]:
+    """Return the query of all columns of a table in a database of this schema version."""
+    return select(*readable(table, version)).select_from(table)
 
 
 def readable(table: Table, version: int) -> list[ColumnElement[Any]]:

@@ -17,7 +17,7 @@ from ...schemas.facts import (
     RolloutFact,
 )
 from . import tables
-from .read import read_header, reading
+from .read import read_header, read_version, reading
 from .rows import DATABASE, READ_VERSIONS, READERS
 
 
@@ -79,8 +79,9 @@ def _shape(connection: sa.Connection, directory: Path) -> set[str]:
 def _rows(connection: sa.Connection, directory: Path, name: str, there: set[str]) -> tuple[Fact, ...]:
     if name not in there:
         return ()  # a header alone is enough to decide the campaign again from its files
-    table = tables.metadata.tables[name]
+    table, version = tables.metadata.tables[name], read_version(connection, directory)
+    query = tables.rows_of(table, version).order_by(table.c.seq)
     try:
-        return tuple(READERS[name](row) for row in connection.execute(sa.select(table).order_by(table.c.seq)))
+        return tuple(READERS[name](row) for row in connection.execute(query))
     except (ValueError, TypeError, RecursionError, OverflowError) as error:
         raise JournalError(f"{directory / DATABASE}: table {name}: a row cannot be read ({error})") from None

@@ -20,7 +20,7 @@ from .horizon import check_horizon
 from .text import excerpt
 from .tree import REST, Always, Eventually, Formula, Interval, Temporal, Until, operands, walk
 
-__all__ = ["Grid", "Windows"]
+__all__ = ["Grid", "StrictGrid", "Windows"]
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -33,6 +33,10 @@ class Windows:
 
     first: Indices  # (T,)
     stop: Indices  # (T,)
+
+    def are(self, other: "Windows") -> bool:
+        """Whether these are the windows of `other`."""
+        return np.array_equal(self.first, other.first) and np.array_equal(self.stop, other.stop)
 
     def since_now(self) -> "Windows":
         """Return the windows that begin at their own sample and end where these end."""
@@ -91,7 +95,9 @@ class Grid:
     def _search(self, interval: Interval) -> Windows:
         if interval == REST:
             return Windows(np.arange(len(self)), np.full(len(self), len(self)))
-        earliest, latest = self._reached
+        return self._within(interval, *self._reached)
+
+    def _within(self, interval: Interval, earliest: Floats, latest: Floats) -> Windows:
         first = latest.searchsorted(self._times + interval.low, "left")
         stop = earliest.searchsorted(self._times + interval.high, "right")
         return Windows(first, stop)
@@ -142,3 +148,18 @@ class Grid:
                 return left.cover(read), windows.cover(read)
             case _:
                 return (read,) * len(operands(tree))
+
+
+class StrictGrid(Grid):
+    """The same sample times with windows by their numbers, without the tolerance around a stamp.
+
+    Where such a window would have no sample it is that of the tolerance: there is no other reading.
+    """
+
+    def _search(self, interval: Interval) -> Windows:
+        found = super()._search(interval)
+        if interval == REST:
+            return found
+        strict = self._within(interval, *reached(self._times, strict=True))
+        there = strict.first < strict.stop
+        return Windows(np.where(there, strict.first, found.first), np.where(there, strict.stop, found.stop))

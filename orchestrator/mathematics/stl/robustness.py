@@ -17,11 +17,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from . import sliding
-from .grid import Grid
+from .grid import Grid, StrictGrid
 from .predicates import Floats, Signals
-from .tree import Always, And, Comparison, Eventually, Formula, Implies, Not, Or, Until
+from .tree import Always, And, Comparison, Eventually, Formula, Implies, Not, Or, Temporal, Until, walk
 
-__all__ = ["margins_at_samples", "robustness"]
+__all__ = ["decided_by_tolerance", "margins_at_samples", "robustness"]
 
 
 def robustness(tree: Formula, columns: Sequence[str], samples: Floats) -> float:
@@ -52,30 +52,62 @@ def robustness(tree: Formula, columns: Sequence[str], samples: Floats) -> float:
     return float(margins_at_samples(tree, signals, grid)[0])
 
 
-def margins_at_samples(tree: Formula, signals: Signals, grid: Grid) -> Floats:
-    """Return the robustness of `tree` at every sample, shape (T,); where `tree` is not read it has no meaning."""
+def decided_by_tolerance(tree: Formula, columns: Sequence[str], samples: Floats) -> bool:
+    """Whether the tolerance around time stamps, see `schemas.instants`, could decide the sign of the robustness.
+
+    Formula: with each border of a window on either side of the stamps within its tolerance, rho is between
+    rho_low, which takes its minima over all of them and its maxima over none, and rho_high, which does the opposite.
+    Their signs differ.
+
+    Raises:
+        As `robustness`.
+
+    >>> from perfbound.orchestrator.mathematics.stl.parser import parse_formula
+    >>> x = np.array([[0.0, 1.0], [0.1, 1.0], [0.2, 1.0], [0.3, -1.0]])
+    >>> float32 = np.column_stack([x[:, 0].astype(np.float32), x[:, 1]])
+    >>> [decided_by_tolerance(parse_formula("always[0,0.3] x >= 0"), ("t", "x"), each) for each in (x, float32)]
+    [False, True]
+
+    """
+    grid, strict = Grid(samples[:, 0]), StrictGrid(samples[:, 0])
+    grid.check(tree)
+    intervals = {node.interval for node in walk(tree) if isinstance(node, Temporal)}
+    if all(grid.windows(each).are(strict.windows(each)) for each in intervals):
+        return False
+    signals = Signals(columns, samples)
+    low, high = (margins_at_samples(tree, signals, *grids)[0] for grids in ((grid, strict), (strict, grid)))
+    return bool(np.sign(low) != np.sign(high))
+
+
+def margins_at_samples(tree: Formula, signals: Signals, grid: Grid, maxima: Grid | None = None) -> Floats:
+    """Return the robustness of `tree` at every sample, shape (T,); where `tree` is not read it has no meaning.
+
+    With `maxima` maxima are over its windows, and minima over those of `grid`.
+    """
+    maxima = maxima or grid
     match tree:
         case Comparison():
             return signals.margins(tree)
         case Not(operand):
-            return -margins_at_samples(operand, signals, grid)
+            return -margins_at_samples(operand, signals, maxima, grid)
         case And(left, right):
-            return np.minimum(margins_at_samples(left, signals, grid), margins_at_samples(right, signals, grid))
+            return np.minimum(*(margins_at_samples(each, signals, grid, maxima) for each in (left, right)))
         case Or(left, right):
-            return np.maximum(margins_at_samples(left, signals, grid), margins_at_samples(right, signals, grid))
+            return np.maximum(*(margins_at_samples(each, signals, grid, maxima) for each in (left, right)))
         case Implies(left, right):
-            return np.maximum(-margins_at_samples(left, signals, grid), margins_at_samples(right, signals, grid))
+            negated = -margins_at_samples(left, signals, maxima, grid)
+            return np.maximum(negated, margins_at_samples(right, signals, grid, maxima))
         case Always(operand, interval):
-            return sliding.minimum(margins_at_samples(operand, signals, grid), grid.windows(interval))
+            return sliding.minimum(margins_at_samples(operand, signals, grid, maxima), grid.windows(interval))
         case Eventually(operand, interval):
-            return sliding.maximum(margins_at_samples(operand, signals, grid), grid.windows(interval))
+            return sliding.maximum(margins_at_samples(operand, signals, grid, maxima), maxima.windows(interval))
         case Until():
-            return _until(tree, signals, grid)
+            return _until(tree, signals, grid, maxima)
 
 
-def _until(tree: Until, signals: Signals, grid: Grid) -> Floats:
-    left, right = margins_at_samples(tree.left, signals, grid), margins_at_samples(tree.right, signals, grid)
-    windows = grid.windows(tree.interval)
+def _until(tree: Until, signals: Signals, grid: Grid, maxima: Grid) -> Floats:
+    left, right = (margins_at_samples(each, signals, grid, maxima) for each in (tree.left, tree.right))
+    windows = maxima.windows(tree.interval)
     from_start = sliding.until(left, right, windows)
     if tree.reading == "paper":
         return from_start

@@ -82,6 +82,7 @@ def _title_line(found: RecordedRollout) -> str:
         for each, value in zip(spec.parameters, request.x, strict=True)
     )
     score = "" if found.fact.robustness is None else f", robustness {found.fact.robustness:.6g}"
+    score += "; its sign may depend on a time stamp close to a border of a window" if found.fact.by_tolerance else ""
     return f"{found.fact.rollout}: {spec.name}, {request.variant}, {start}, seed {request.seed}{score}"
 
 

@@ -1,8 +1,10 @@
 """Ask and tell: what is admitted, what is refused, and what is left after a restart."""
 
+import sqlite3
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,7 @@ import pytest
 
 import perfbound as pb
 from perfbound.library.study import Study, TrialRequest
+from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas.errors import CampaignError, DefinitionError, PerfboundError
 from perfbound.schemas.trajectory import encode
 from tests.patience import PATIENCE
@@ -320,3 +323,26 @@ def test_an_input_over_time_of_a_rig_is_a_function_of_it(tmp_path: Path) -> None
             study.tell(request, {"t": T, "y": request.start["x"](T)})
         assert {"x_0", "x_1"} <= set(study.run.tests.columns)
         assert study.run.verify().checks.good
+
+
+def test_what_the_tolerance_around_time_stamps_could_decide_is_counted(tmp_path: Path) -> None:
+    keys = KEYS | {"specification": "always[0,0.6] (y <= 1.5)"}
+    with pb.Campaign(rig(step=None), **keys).ask_tell(tmp_path / "run") as study:
+        for number in range(3):
+            # 0.6 s is the border: of float32 it is 0.60000002 s, and there alone y is above 1.5.
+            times = T.astype(np.float32).astype(np.float64) if number else T
+            study.tell(asked(study), {"t": times, "y": np.where(np.arange(6) == 3, 1.8, 0.5)})
+        status, detail = statuses(study)["borders"]
+        assert status == "assumed"
+        assert detail.startswith("in 2 of 3 rollouts, those of the closing checks included (the first is robustness.1.")
+        assert study.run.verify().checks.good
+    with closing(sqlite3.connect(tmp_path / "run" / DATABASE)) as database, database:
+        database.execute("DROP TRIGGER rollouts_no_update")
+        database.execute("UPDATE rollouts SET by_tolerance = 0")
+    (failed,) = [each for each in pb.open(tmp_path / "run").verify().checks.lines() if each.status == "failed"]
+    assert "robustness.1.nominal.0: by_tolerance" in failed.detail
+
+
+def test_stamps_that_are_exact_are_not_counted(study: Study) -> None:
+    finish(study)
+    assert "borders" not in statuses(study)

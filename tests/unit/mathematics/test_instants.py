@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from perfbound.orchestrator.mathematics.stl.grid import StrictGrid
 from perfbound.orchestrator.mathematics.stl.parser import parse_formula
-from perfbound.orchestrator.mathematics.stl.predicates import check_grids
-from perfbound.orchestrator.mathematics.stl.robustness import robustness
+from perfbound.orchestrator.mathematics.stl.predicates import Signals, check_grids
+from perfbound.orchestrator.mathematics.stl.robustness import decided_by_tolerance, margins_at_samples, robustness
+from perfbound.orchestrator.mathematics.stl.tree import Formula
 from perfbound.schemas.instants import disorder, reached, slack, stamps, uncovered
 
 Floats = NDArray[np.float64]
@@ -62,8 +64,13 @@ def spoiled(rng: np.random.Generator, exact: Floats, step: float) -> tuple[str, 
     return kind, exact + jitter
 
 
+def by_numbers(tree: Formula, samples: Floats) -> float:
+    """Return the robustness by windows without a tolerance."""
+    return float(margins_at_samples(tree, Signals(NAMES, samples), StrictGrid(samples[:, 0]))[0])
+
+
 def test_200_grids_and_50_formulas_give_what_exact_stamps_give() -> None:
-    rng, compared, kinds = np.random.default_rng(20261125), 0, dict[str, int]()
+    rng, compared, decided, kinds = np.random.default_rng(20261125), 0, 0, dict[str, int]()
     for _ in range(GRIDS):
         step, steps = float(rng.choice([0.001, 0.01, 1 / 30, 0.1, 0.25, 1.0])), int(rng.integers(8, 60))
         exact = np.arange(steps + 1, dtype=np.float64) * step
@@ -80,8 +87,15 @@ def test_200_grids_and_50_formulas_give_what_exact_stamps_give() -> None:
             tree = parse_formula(random_formula(rng, step, steps), NAMES)
             one, other = (robustness(tree, NAMES, np.column_stack((each[rows], values))) for each in (exact, times))
             assert one == other, (kind, step)
+            assert not decided_by_tolerance(tree, NAMES, np.column_stack((exact[rows], values))), step
+            # Of the windows by the numbers of these stamps: what another sign would follow from is counted.
+            strict = by_numbers(tree, np.column_stack((times[rows], values)))
+            if np.sign(strict) != np.sign(other):
+                assert decided_by_tolerance(tree, NAMES, np.column_stack((times[rows], values))), (kind, step)
+                decided += 1
             compared += 1
     assert compared >= 0.9 * GRIDS * FORMULAS
+    assert decided > FORMULAS
     assert set(kinds) == {"float32", "accumulated", "accumulated in float32", "jittered"}
 
 
@@ -173,3 +187,30 @@ def test_the_kind_of_stamps() -> None:
     assert stamps(np.cumsum(np.full(1000, 0.1)) - 0.1) == "accumulated"
     assert stamps(np.arange(1000, dtype=np.float64) * 0.25) == "exact"
     assert stamps(np.sort(np.random.default_rng(1).uniform(0, 9, 50))) == "exact", "steps of its own"
+
+
+AT_A_BORDER = np.array([1.0, 1.0, 1.0, -1.0, 1.0])
+"""Of x: whether the fourth sample belongs to a window decides the sign."""
+
+
+@pytest.mark.parametrize(
+    ("formula", "moved", "decided"),
+    [
+        ("always[0,0.3] x >= 0", 5e-4, True),
+        ("always[0,0.3] x >= 0", 0.0, False),  # 0.1 s three times is 0.30000000000000004 s
+        ("always[0,0.3] x >= 0", 2e-3, False),  # clearly behind the border
+        ("always[0,0.3] x >= -2", 5e-4, False),
+        ("not eventually[0,0.3] x <= 0", 5e-4, True),
+        ("(eventually[0,0.3] x <= 0) implies x <= 0", 5e-4, True),
+        ("always[0,0.1] eventually[0.2,0.2] x >= 0", 5e-4, False),  # no other reading: without it there is no sample
+        # Two borders with opposite effects: neither windows by the numbers nor those of the tolerance show it.
+        ("(always[0,0.3] x >= 0) or (eventually[0,0.3] x <= 0)", 5e-4, True),
+        ("x >= -2 until[0,0.3] x <= 0", 5e-4, True),
+        ("always (x >= -2)", 5e-4, False),
+    ],
+)
+def test_a_rollout_says_where_the_tolerance_could_decide_its_sign(formula: str, moved: float, decided: bool) -> None:
+    times = np.arange(5, dtype=np.float64) * 0.1
+    times[3] += moved
+    samples = np.column_stack((times, AT_A_BORDER, AT_A_BORDER))
+    assert decided_by_tolerance(parse_formula(formula, NAMES), NAMES, samples) is decided

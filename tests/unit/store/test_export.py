@@ -107,7 +107,7 @@ def test_rollouts_are_those_of_the_database(campaign: Path) -> None:
     }
     attempts = dict(query(campaign, "SELECT rollout, count(*) FROM attempts GROUP BY rollout"))
     assert len(found) == len(facts) == ROLLOUTS
-    for row, (_, problem, test, variant, replicate, seed, sha256, size, path, robustness) in zip(
+    for row, (_, problem, test, variant, replicate, seed, sha256, size, path, robustness, border) in zip(
         found, facts, strict=True
     ):
         name = f"{problem}.{test}.{variant}.{replicate}"
@@ -120,6 +120,7 @@ def test_rollouts_are_those_of_the_database(campaign: Path) -> None:
             replicate,
             seed,
             robustness,
+            border,
             path,
             size,
             sha256,
@@ -128,10 +129,10 @@ def test_rollouts_are_those_of_the_database(campaign: Path) -> None:
             wall,
             cpu,
         )
-        titles = ("rollout", "problem", "test", "variant", "replicate", "seed", "robustness (1)", "path", "size (B)")
-        assert [row[title] for title in (*titles, "sha256", "worker", "attempts", "wall (s)", "cpu (s)")] == [
-            plain(value) for value in values
-        ]
+        titles = ("rollout", "problem", "test", "variant", "replicate", "seed", "robustness (1)", "by_tolerance")
+        assert [
+            row[title] for title in (*titles, "path", "size (B)", "sha256", "worker", "attempts", "wall (s)", "cpu (s)")
+        ] == [plain(value) for value in values]
 
 
 def test_tests_are_those_of_the_database_as_risks(campaign: Path) -> None:
