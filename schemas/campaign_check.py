@@ -194,6 +194,12 @@ def _rollout_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
             faults.append(f"problems.{problem.name}: {spec.name} has no variant {', '.join(sorted(missing))}")
         noisy = variants & set(spec.noisy)
         faults += _claim_faults(config, problem, noisy=bool(noisy))
+        gap = config.gap_of(problem)
+        if gap is not None and gap.kind != "robustness" and spec.after_end == "fail":
+            faults.append(
+                f"problems.{problem.name}.gap.kind: {gap.kind!r} bounds no difference of rollouts of {spec.name}, of "
+                'which one may end early and fail; use kind = "robustness", or after_end = "hold"'
+            )
     for where, problem in _having(config, "noise_scale"):
         noisy = set(rolled_out(problem.name, spec)) & set(spec.noisy)
         if isinstance(problem, RigorousProblem) and problem.noise_scale == 0 and noisy:

@@ -94,6 +94,8 @@ class RolloutFact:
     robustness: float | None
     by_tolerance: bool = False
     """Whether the tolerance around its time stamps could decide a sign, that of a requirement included."""
+    ended: float | None = None
+    """s at which it ended before the horizon, of a system with `after_end`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,14 +10,12 @@ must take in the sample that is meant to be there. tau_k is a hundredth of the s
 resolution of float32 there, unless the stamps around are closer together than that: then they are no float32.
 """
 
-from typing import Literal
-
 import numpy as np
 from numpy.typing import NDArray
 
+from .system import Stamps
+
 Floats = NDArray[np.float64]
-Stamps = Literal["exact", "float32", "accumulated"]
-"""Times as numbers of a step, rounded to float32, or as sums with the round-off of every step."""
 
 SHARE = 0.01
 """Of the local step, by which a stamp may miss a border."""
@@ -111,6 +109,20 @@ def disorder(samples: Floats) -> str | None:
     return None
 
 
+def ends_early(times: Floats, horizon: float) -> bool:
+    """Whether stamps (T,) end so long before `horizon` s that they do not cover it, see `uncovered`.
+
+    >>> ends_early(np.arange(80) * 0.1, 8.0), ends_early(np.arange(70) * 0.1, 8.0), ends_early(np.zeros(1), 0.0)
+    (False, True, False)
+    """
+    return bool(times[-1] < horizon - _allowed(times, horizon) - slack(times)[-1])
+
+
+def _allowed(times: Floats, horizon: float) -> float:
+    """Return by how much the last stamp may precede the horizon: one step, but no more than a part of the horizon."""
+    return min(float(np.max(np.diff(times), initial=0.0)), horizon / SAMPLES)
+
+
 def uncovered(times: Floats, horizon: float) -> str | None:
     """Return what is wrong with the ends of stamps (T,) that are to cover 0 to `horizon` s; None if nothing is.
 
@@ -135,11 +147,11 @@ def uncovered(times: Floats, horizon: float) -> str | None:
         milliseconds = horizon > 0.0 and abs(last / 1000.0 - horizon) <= horizon / SAMPLES
         remedy = "give seconds, not milliseconds" if milliseconds else "end at the horizon, in seconds"
         return f"the last row, {row}, is at t = {there} s, and the horizon is {end} s: {remedy}"
-    allowed = min(float(np.max(np.diff(times), initial=0.0)), horizon / SAMPLES)
-    if last < horizon - allowed - around[-1]:
+    if ends_early(times, horizon):
         return (
             f"the last row, {row}, is at t = {there} s, and the horizon is {end} s, before which it may be by "
-            f"{allowed:.3g} s: simulate to the horizon; after an early end hold the last state"
+            f"{_allowed(times, horizon):.3g} s: simulate to the horizon, or declare what an early end means: after_end "
+            '= "hold" (the last state stays) or "fail" (it violates the specification)'
         )
     return None
 

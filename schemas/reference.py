@@ -118,6 +118,7 @@ ALLOWED = {
     (StartTable, "table"): "text, or lists of numbers",
     (StartTable, "header"): "list of texts",
     (SystemChoice, "program"): "list of texts",
+    (SystemChoice, "files"): "list of texts",
     (SystemChoice, "columns"): "table of texts",
     (SystemChoice, "noisy"): "true or false, or list of `nominal`, `true`",
     (SystemChoice, "variants"): "list of `nominal`, `true`",

@@ -9,7 +9,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from .base import Model
 from .ranges import SEED_BITS
 from .signals import MAX_KNOTS, SignalKind, least_knots
-from .system import OptionValue, Variant
+from .system import AfterEnd, OptionValue, Stamps, Variant
 
 MAX_SCENARIOS = 1000
 MAX_TABLE = 10_000
@@ -50,6 +50,18 @@ class SystemChoice(Model, extra="allow"):
         max_length=1000,
         description="of a function in a file and of a program: what its rollouts read, such as an FMU or weights; "
         'files, folders and patterns ("tables/*.csv"), relative to the campaign file',
+    )
+    stamps: Stamps | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="of a function in a file and of a program: the times of its samples are `exact`, numbers of a "
+        "step; rounded to `float32`; or `accumulated`, sums with their round-off",
+    )
+    after_end: AfterEnd | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="of a function in a file and of a program: a rollout that ends before the horizon holds its last "
+        "state (`hold`), or violates the specification besides (`fail`); without this key it is refused",
     )
     program: tuple[str, ...] | None = Field(
         default=None,
@@ -94,8 +106,9 @@ class SystemChoice(Model, extra="allow"):
                 'name: give one of name = "...", an installed system, python = "FILE.py:NAME", a function in a file, '
                 'and program = ["./NAME"]'
             )
-        if self.name and self.files:
-            raise ValueError("files: an installed system lists its files itself, in its class: files = [...]")
+        given = [key for key in SAID_OF_SYSTEMS if getattr(self, key) is not None]
+        if self.name and given:
+            raise ValueError(f"{given[0]}: an installed system says this itself, in its class: {given[0]} = ...")
         if self.program is not None and self.columns is None:
             raise ValueError('columns: required by a program: its columns with their units, { distance = "m" }')
         given = [key for key in PROGRAM_KEYS if getattr(self, key) is not None]
@@ -111,9 +124,9 @@ class SystemChoice(Model, extra="allow"):
     def reference(self, file: Path) -> str:
         """Return the system as a worker finds it: its name, FILE.py:NAME, or the campaign file `file`.
 
-        That describes a program, and lists files that the function in a file does not list itself.
+        That describes a program, and says what the function in a file does not say itself.
         """
-        if self.python is not None and self.files is None:
+        if self.python is not None and all(getattr(self, key) is None for key in SAID_OF_SYSTEMS):
             return str(file.absolute().parent / self.python)
         return self.name or str(file.absolute())
 
@@ -123,6 +136,8 @@ class SystemChoice(Model, extra="allow"):
         return dict(self.__pydantic_extra__ or {})
 
 
+SAID_OF_SYSTEMS = ("files", "stamps", "after_end")
+"""Keys of `[system]` that say more of a function in a file, or of a program."""
 PROGRAM_KEYS = (
     "columns",
     "step",

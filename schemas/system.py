@@ -2,7 +2,7 @@
 
 import hashlib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field, ValidationError, model_validator
@@ -13,7 +13,7 @@ from .ranges import MAX_FILE_BYTES, SEED_BITS, FileBytes, Magnitude, Seconds, Se
 from .rules import KNOWN, RULES
 from .signals import SignalShape
 
-ADDED = ("timed", "code", "default_horizon", "seed_bits", "repeated", "trajectory_bytes")
+ADDED = ("timed", "code", "default_horizon", "seed_bits", "repeated", "trajectory_bytes", "stamps", "after_end")
 """Keys of a SystemSpec that no campaign of rules 1 has."""
 DECIDES_NO_ROLLOUT = {"default_horizon", "trajectory_bytes"}
 """Keys that are no part of a system's identity: every request has its own horizon, and no file depends on its limit."""
@@ -25,6 +25,10 @@ ASSUMED_HORIZON = 10.0
 """Seconds, where neither the user nor the system names a horizon."""
 Variant = Literal["nominal", "true"]
 OptionValue = str | Magnitude
+Stamps = Literal["exact", "float32", "accumulated"]
+"""Times of samples: numbers of a step, rounded to float32, or sums with the round-off of every step."""
+AfterEnd = Literal["hold", "fail"]
+"""What a rollout that ends before the horizon is: its last state stays, or it violates the specification besides."""
 
 
 class Written(type(Model)):  # type: ignore[misc]
@@ -157,6 +161,16 @@ class SystemSpec(Model, metaclass=Written):
         default=None, description="size of a trajectory's file; one of more than ten times as many is refused unread"
     )
 
+    stamps: Stamps = Field(
+        default="exact",
+        description="the times of samples: numbers of a step, rounded to float32, or sums with their round-off",
+    )
+    after_end: AfterEnd | None = Field(
+        default=None,
+        description="what a rollout that ends before the horizon is: its last state is held, or it fails besides; "
+        "without this key it is refused. The last column is then `ended`",
+    )
+
     signals: tuple[SignalShape, ...] = Field(
         default=(),
         exclude_if=lambda signals: not signals,
@@ -167,6 +181,8 @@ class SystemSpec(Model, metaclass=Written):
     def _named(self) -> "SystemSpec":
         if any(not each.name for each in self.parameters):
             raise ValueError("parameters: every parameter needs a name")
+        if self.after_end is not None and self.columns[-1].name != ENDED.name:
+            raise ValueError(f"columns: with after_end the last one is {ENDED.name}, which is 1 after an early end")
         for signal in (each.name for each in self.parameters if each.signal):
             for other in self.parameters:
                 if re.fullmatch(rf"{signal}_[0-9]+", other.name):
@@ -208,6 +224,29 @@ class SystemSpec(Model, metaclass=Written):
             for each in self.parameters
         }
         return self.model_copy(update={"parameters": tuple(parameters.values()), "signals": ()})
+
+    @property
+    def own_columns(self) -> tuple[str, ...]:
+        """The names of the columns that the system itself gives."""
+        names = tuple(column.name for column in self.columns)
+        return names if self.after_end is None else names[:-1]
+
+    def with_said(self, stamps: Stamps | None, after_end: AfterEnd | None) -> "SystemSpec":
+        """Return the system with what a campaign file says of its times and early ends, if it says something.
+
+        Raises:
+            DefinitionError: the system says otherwise.
+
+        """
+        found = self.model_copy(update={} if stamps is None else {"stamps": stamps})
+        if after_end is None or after_end == self.after_end:
+            return found
+        if self.after_end is not None:
+            raise DefinitionError(
+                f"after_end: is {after_end!r}, and the system itself says {self.after_end!r}; leave it out here"
+            )
+        columns = timed_columns({each.name: each.unit for each in self.columns[1:]}, after_end)
+        return found.model_copy(update={"after_end": after_end, "columns": columns})
 
     @property
     def assumed_horizon(self) -> float:
@@ -278,6 +317,23 @@ class SystemSpec(Model, metaclass=Written):
             return digest(declared.model_dump(mode="json", exclude=set(ADDED)))
         # Since rules 2 a key that a later version adds changes nothing while it is not set. A changed default does.
         return digest(declared.model_dump(mode="json", exclude_defaults=True, exclude=DECIDES_NO_ROLLOUT))
+
+
+ENDED = Column(name="ended", unit="1")
+"""The last column of a system with `after_end`: 0 while it runs, 1 where its last state is held."""
+
+
+def timed_columns(units: Mapping[str, str], after_end: AfterEnd | None = None) -> tuple[Column, ...]:
+    """Return the columns of a system: the time, those that its author declares, and that of an early end.
+
+    Raises:
+        DefinitionError: a name is none, or is that of the column of an early end.
+
+    """
+    if after_end is not None and ENDED.name in units:
+        raise DefinitionError(f"columns: {ENDED.name} is the column that after_end adds; leave it out")
+    own = tuple(Column(name=name, unit=unit) for name, unit in {"t": "s", **units}.items())
+    return own if after_end is None else (*own, ENDED)
 
 
 def _short(value: object) -> str:

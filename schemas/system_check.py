@@ -3,8 +3,8 @@
 from pydantic import Field
 
 from .base import Model
-from .instants import Stamps
 from .rollout import RolloutRequest
+from .system import Stamps
 
 
 class Trial(Model):

@@ -1,5 +1,6 @@
 """One rollout on this worker: from the request to the bytes of the trajectory's file."""
 
+from ..schemas.early_end import held, with_end
 from ..schemas.errors import SimulationError
 from ..schemas.input_signal import start_values
 from ..schemas.rollout import RolloutRequest
@@ -55,10 +56,15 @@ def run_request_on(system: SystemUnderTest, request: RolloutRequest, progress: P
         options=request.options,
         progress=progress,
     )
-    units = {column.name: column.unit for column in spec.columns}
-    if trajectory.columns != tuple(units):
+    if trajectory.columns != spec.own_columns:
         raise SimulationError(f"{spec.name} returned the columns {trajectory.columns}, not those of its spec")
+    samples = len(trajectory.samples)
+    if spec.after_end is not None:
+        trajectory = held(trajectory, request.horizon)
     visual = system.visual(trajectory) if request.visual else None
+    if spec.after_end is not None:
+        trajectory = with_end(trajectory, samples)
     if visual is not None:
         trajectory = trajectory.showing(visual)
+    units = {column.name: column.unit for column in spec.columns}
     return encode(trajectory, request=request.model_dump(mode="json"), metadata=request.metadata, units=units)

@@ -102,17 +102,16 @@ class ProblemDecisions:
         return rollout_seed(self._header, rollout)
 
 
-def robustness(observer: Observer, rollout: RolloutId, trajectory: Trajectory) -> tuple[float | None, bool]:
-    """Return the clipped robustness of a rollout, and whether the tolerance of its stamps could decide its sign.
-
-    None and False for a campaign without specification.
+def scores(observer: Observer, rollout: RolloutId, trajectory: Trajectory) -> tuple[float | None, bool, float | None]:
+    """Return what a `RolloutFact` says of a trajectory: the clipped robustness, None without a specification; whether
+    the tolerance of its stamps could decide the sign; and when it ended, if that was before the horizon.
 
     Raises:
         PerfboundError: it cannot be evaluated; the message names the rollout.
 
     """
     with naming(f"rollout {rollout}"):
-        return observer.robustness(trajectory), observer.decided_by_tolerance(trajectory)
+        return observer.robustness(trajectory), observer.decided_by_tolerance(trajectory), observer.end(trajectory)
 
 
 @contextmanager

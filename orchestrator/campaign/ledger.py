@@ -29,7 +29,7 @@ from ..store import files as evidence
 from . import state
 from .account import Account
 from .closing_checks import Begins, ClosingChecks
-from .decisions import Decider, Follow, ProblemDecisions, robustness
+from .decisions import Decider, Follow, ProblemDecisions, scores
 from .extension import check_extension
 from .methods import methods
 from .observation import Observer
@@ -169,7 +169,7 @@ class Ledger:
             # No fact: it has been recorded. The campaign continues when the last damaged file is back.
             self._restoration.restore(rollout, payload, sha256, self._files)
             return Work() if self._restoration else self.outstanding()
-        found = robustness(self.observer, rollout, trajectory)
+        found = scores(self.observer, rollout, trajectory)
         path = evidence.relative_path(rollout)
         self._files.write(evidence.inside(self._directory, path), payload)
         self.recorded.keep(rollout, trajectory)

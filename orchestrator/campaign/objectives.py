@@ -13,6 +13,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ...schemas.early_end import missing_share
+from ...schemas.system import AfterEnd
+from ...schemas.trajectory import Trajectory
 from ..mathematics.stl.predicates import check_grids
 from ..mathematics.stl.robustness import robustness
 from ..mathematics.stl.tree import Formula
@@ -39,17 +42,35 @@ def measured(value: float, name: str) -> float:
     return value
 
 
-def clipped_robustness(formula: Formula, columns: Sequence[str], samples: Floats, clip: tuple[float, float]) -> float:
-    """Return the robustness of `samples` (T, n), clipped to [low, high]; every claim is about this number.
+def scored(formula: Formula, trajectory: Trajectory, after_end: AfterEnd | None) -> float:
+    """Return the robustness of a rollout, not clipped, with what the system declares of an early end.
+
+    Formula: rho, and with `after_end = "fail"` min(rho, -(share of the horizon that is missing)) after an early end:
+    it violates the specification, by the more the earlier it comes.
 
     Raises:
-        ValueError: the clip is empty, the formula names an unknown column, or a predicate is not finite.
+        ValueError: as `robustness`.
+
+    """
+    found = robustness(formula, trajectory.columns, trajectory.samples)
+    share = missing_share(trajectory) if after_end == "fail" else 0.0
+    return min(found, -share) if share else found
+
+
+def clipped(value: float, clip: tuple[float, float]) -> float:
+    """Return a robustness clipped to [low, high]; every claim is about this number.
+
+    Raises:
+        ValueError: the clip is empty.
+
+    >>> clipped(2.0, (-1.0, 1.0))
+    1.0
 
     """
     low, high = clip
     if not low < high:
         raise ValueError(f"clip is [{low!r}, {high!r}]; its lower end must be below its upper end")
-    return min(max(robustness(formula, columns, samples), low), high)
+    return min(max(value, low), high)
 
 
 def signal_sup(column: int, a: Floats, b: Floats) -> float:

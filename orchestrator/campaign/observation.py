@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from weakref import WeakKeyDictionary
 
 from ...schemas.campaign import CampaignConfig
+from ...schemas.early_end import end_of, missing_share
 from ...schemas.errors import CampaignError
 from ...schemas.problems import OBJECTIVES, replicates_are_robustness
 from ...schemas.requirements import parts_of
@@ -33,6 +34,7 @@ class Observer:
 
     def __init__(self, config: CampaignConfig, spec: SystemSpec) -> None:
         self._columns = tuple(column.name for column in spec.columns)
+        self._after_end = spec.after_end
         # Columns alone have no robustness without a clip: their certificates must not depend on a specification.
         columns_alone = all(OBJECTIVES[problem.name].measured == "column" for problem in config.problems)
         self._clip = config.clip or (None if columns_alone else UNBOUNDED)
@@ -61,15 +63,24 @@ class Observer:
             return None
         found = self._scored.get(trajectory)  # needed when it is recorded, and when its test is observed
         if found is None:
-            found = objectives.clipped_robustness(self._parsed, trajectory.columns, trajectory.samples, self._clip)
+            found = self._score(self._parsed, trajectory, self._clip)
             self._scored[trajectory] = found
         return found
 
     def decided_by_tolerance(self, trajectory: Trajectory) -> bool:
         """Whether the tolerance of its time stamps could decide the sign of the specification, or of a requirement."""
         # A clip of one sign leaves nothing to decide, but changes no word: the sign is that of the specification.
+        if self._after_end == "fail" and missing_share(trajectory):
+            return False  # it violates them all
         formulas = ([] if self._parsed is None else [self._parsed]) + self._requirements
         return any(decided_by_tolerance(each, trajectory.columns, trajectory.samples) for each in formulas)
+
+    def _score(self, formula: Formula, trajectory: Trajectory, clip: tuple[float, float]) -> float:
+        return objectives.clipped(objectives.scored(formula, trajectory, self._after_end), clip)
+
+    def end(self, trajectory: Trajectory) -> float | None:
+        """Return when a rollout ended, in s, if that was before the horizon."""
+        return None if self._after_end is None else end_of(trajectory)
 
     def robustness_of(self, plan: ProblemPlan, trajectory: Trajectory) -> float | None:
         """Return the robustness that a problem is about: where it has a requirement, of that one."""
@@ -130,7 +141,7 @@ class Observer:
     def _of_requirements(self, plan: ProblemPlan, trajectories: Trajectories) -> Iterator[float]:
         for formula in self._requirements:
             for each in trajectories.values():
-                yield objectives.clipped_robustness(formula, each.columns, each.samples, plan.clip)
+                yield self._score(formula, each, plan.clip)
 
     def _risk(self, plan: ProblemPlan, trajectories: Trajectories) -> Observation:
         problem, values, weight = plan.problem, self._scores(trajectories), plan.risk_weight

@@ -22,8 +22,8 @@ from ...schemas.system import Parameter, SystemSpec
 from ...schemas.trajectory import Trajectory
 from ..mathematics.gp.kernels import Floats, Matern, scaled
 from ..mathematics.stl.parser import FormulaError, parse_formula
-from ..mathematics.stl.robustness import robustness
 from .first_values import Constants
+from .objectives import scored
 
 Score = Callable[[Trajectory], float]
 """From a rollout to one number, of which more is better."""
@@ -93,7 +93,7 @@ def score(specification: str | None, spec: SystemSpec) -> Score:
 
     def robust(trajectory: Trajectory) -> float:
         try:
-            return robustness(formula, trajectory.columns, trajectory.samples)
+            return scored(formula, trajectory, spec.after_end)
         except ValueError as error:
             raise PerfboundError(f"--specification: {error}") from None
 

@@ -2,7 +2,7 @@
 
 import hashlib
 from array import array
-from collections.abc import MutableSequence
+from collections.abc import Iterable, MutableSequence
 from dataclasses import dataclass, field
 
 from ...schemas.base import canonical_json
@@ -13,6 +13,20 @@ from ...schemas.values import MARKED, Bound, Observation, ProblemProgress, Propo
 
 ROUND_OFF = 1e-9
 """A bound recomputed on another CPU may differ by less."""
+
+
+@dataclass(slots=True)
+class Remarked:
+    """Rollouts of closed tests of which something is to be said: their number, and the first of them."""
+
+    number: int = 0
+    first: RolloutId | None = None
+
+    def add(self, rollouts: Iterable[RolloutId]) -> None:
+        """Take those of a test that is closed, in whatever order they came."""
+        found = sorted(rollouts)
+        self.number += len(found)
+        self.first = self.first or next(iter(found), None)
 
 
 @dataclass(slots=True)
@@ -34,8 +48,10 @@ class Series:
     observations: MutableSequence[float] = field(default_factory=lambda: array("d"))
     each: list[tuple[float, ...]] = field(default_factory=list)
     nodes: list[int] = field(default_factory=list)
-    by_tolerance: list[RolloutId] = field(default_factory=list)
-    """The closed tests' rollouts whose sign the tolerance around time stamps could decide."""
+    by_tolerance: Remarked = field(default_factory=Remarked)
+    """Rollouts whose sign the tolerance around time stamps could decide."""
+    ended: Remarked = field(default_factory=Remarked)
+    """Rollouts that ended before the horizon."""
     counts: dict[str, int] = field(default_factory=lambda: {"nominal": 0, "true": 0})
     last_proposal: Proposal | None = None
     last_rollouts: list[RolloutFact] = field(default_factory=list)
@@ -82,7 +98,8 @@ class Series:
         self.nodes.append(self.last_proposal.node)
         for rollout in rollouts:
             self.counts[rollout.rollout.variant] += 1
-        self.by_tolerance += sorted(each.rollout for each in rollouts if each.by_tolerance)
+        self.by_tolerance.add(each.rollout for each in rollouts if each.by_tolerance)
+        self.ended.add(each.rollout for each in rollouts if each.ended is not None)
         return rollouts
 
     def bound(self, fact: BoundFact) -> None:

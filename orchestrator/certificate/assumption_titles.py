@@ -14,6 +14,7 @@ STATEMENTS = {
     "deterministic_nominal": "the nominal simulator is deterministic",
     "discarded": "a discarded rollout was simulated again with the same seed",
     "drawn_starts": "starts were drawn at random, not chosen",
+    "early_ends": "a rollout may end before the horizon, and counts as declared",
     "extended": "the extension of the budget does not weaken the bound",
     "finite_rollouts": "no rollout was left out",
     "finite_space": "the claim is about the listed starts alone",

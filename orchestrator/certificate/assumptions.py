@@ -20,6 +20,7 @@ from ..campaign.account import Account
 from ..campaign.ledger import Ledger, observed_discards
 from ..campaign.methods import Methods, kernel
 from ..campaign.plan import UNBOUNDED, ProblemPlan
+from ..campaign.series import Remarked
 from ..campaign.spot_check import SpotSeries
 from ..campaign.tested import is_dominated, same_values, spread
 from ..mathematics.bounds import audit
@@ -101,7 +102,7 @@ def assumptions(
     else:
         found.append(assumption("finite_rollouts", "derived", rollouts))
         found.append(_reproducible(checks.recheck, measured=measured, irreproducible=irreproducible))
-    found += [*_borders(ledger), *_discarded(ledger), *_extended(ledger)]
+    found += [*_remarked(ledger), *_discarded(ledger), *_extended(ledger)]
     if set(PAIR) <= set(accounts):
         # The product needs that neither problem uses the other's data; only method `paper` claims it.
         if all(accounts[name].plan.problem.method == "paper" for name in PAIR):
@@ -119,13 +120,23 @@ def assumptions(
     return [*found, *(honest if honest and each.id == honest.id else each for each in trusted)]
 
 
-def _borders(ledger: Ledger) -> Iterator[Assumption]:
-    """Yield a line where the tolerance around time stamps could decide the sign of rollouts."""
-    decided = [rollout for series in ledger.series.values() for rollout in series.by_tolerance]
-    if decided:
-        rollouts = sum(sum(series.counts.values()) for series in ledger.series.values())
-        values: dict[str, float | int | str] = {"decided": len(decided), "rollouts": rollouts, "first": str(decided[0])}
-        yield assumption("borders", "assumed", values)
+def _remarked(ledger: Ledger) -> Iterator[Assumption]:
+    """Yield a line on the stamps at borders of windows, where there are any, and one on early ends, where declared."""
+    series = ledger.series.values()
+    rollouts = sum(sum(each.counts.values()) for each in series)
+    borders, ended = ([getattr(each, name) for each in series] for name in ("by_tolerance", "ended"))
+    if sum(each.number for each in borders):
+        yield assumption("borders", "assumed", {**_counted(borders), "rollouts": rollouts})
+    if (after_end := ledger.header.spec.after_end) is not None:
+        none = "" if sum(each.number for each in ended) else "_none"
+        status: Status = "assumed" if after_end == "hold" else "derived"
+        values = {**_counted(ended), "rollouts": rollouts}
+        yield assumption("early_ends", status, values, form=f"early_ends_{after_end}{none}")
+
+
+def _counted(remarked: Iterable[Remarked]) -> dict[str, float | int | str]:
+    found = [each for each in remarked if each.first is not None]
+    return {"number": sum(each.number for each in found), "first": str(found[0].first) if found else ""}
 
 
 def _discarded(ledger: Ledger) -> Iterator[Assumption]:

@@ -267,10 +267,27 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "start (most clearly at {start}): the norm bound, the kernel, the prior mean or the noise scale is wrong.",
     },
     "borders": {
-        "assumed": "in {decided} of {rollouts} rollouts, those of the closing checks included (the first is {first}), "
+        "assumed": "in {number} of {rollouts} rollouts, those of the closing checks included (the first is {first}), "
         "a time stamp is so close to a border of a window, within a hundredth of a step or the resolution of float32, "
         "that the two count as the same instant, and on that could depend whether the rollout violates the "
         "specification.",
+    },
+    "early_ends_hold": {
+        "assumed": "{number} of {rollouts} rollouts end before the horizon, the first of them {first}; as the system "
+        "declares, their last state is held to the horizon, where nothing else is assumed to happen.",
+    },
+    "early_ends_hold_none": {
+        "assumed": "none of {rollouts} rollouts ended before the horizon; as the system declares, the last state of "
+        "one that does is held to the horizon, where nothing else is assumed to happen.",
+    },
+    "early_ends_fail": {
+        "derived": "{number} of {rollouts} rollouts end before the horizon, the first of them {first}; as the system "
+        "declares, each of them violates the specification: its robustness is at most minus the share of the horizon "
+        "that is missing, a number without unit.",
+    },
+    "early_ends_fail_none": {
+        "derived": "none of {rollouts} rollouts ended before the horizon; as the system declares, one that does "
+        "violates the specification: its robustness is at most minus the share of the horizon that is missing.",
     },
     "finite_rollouts": {
         "derived": "all {rollouts} rollouts behind the bounds are finite: a rollout that never becomes finite ends the "

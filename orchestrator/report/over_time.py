@@ -3,6 +3,7 @@
 import numpy as np
 
 from ...schemas.facts import RolloutFact
+from ...schemas.system import ENDED, AfterEnd
 from ...schemas.trajectory import Trajectory
 from ..mathematics.stl.over_time import outermost, robustness_signal, worst_moment
 from ..mathematics.stl.text import text
@@ -29,7 +30,9 @@ def shown_formula(tree: Formula | None) -> tuple[str, str]:
             return text(other), "first"
 
 
-def with_margin(fact: RolloutFact, trajectory: Trajectory, tree: Formula | None) -> DrawnRollout:
+def with_margin(
+    fact: RolloutFact, trajectory: Trajectory, tree: Formula | None, after_end: AfterEnd | None = None
+) -> DrawnRollout:
     """Return a recorded rollout with its robustness over time, which a rollout without a robustness has not."""
     t, margin, moment, columns = tuple[float, ...](), tuple[float, ...](), None, frozenset[str]()
     samples = trajectory.samples
@@ -40,6 +43,8 @@ def with_margin(fact: RolloutFact, trajectory: Trajectory, tree: Formula | None)
         found = worst_moment(tree, trajectory.columns, samples)
         if found is not None:
             moment, columns = (float(samples[found.first, 0]), float(samples[found.last, 0])), found.columns
+    if fact.ended is not None and after_end == "fail" and fact.robustness is not None:
+        moment, columns = (fact.ended, fact.ended), frozenset({ENDED.name})
     return DrawnRollout(
         id=str(fact.rollout),
         variant=fact.rollout.variant,

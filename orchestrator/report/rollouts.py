@@ -56,7 +56,7 @@ def of_test(
             )
             traces += of_rollout(columns)
             more += of_rollout(further, most=curves.FURTHER_POINTS)
-            drawn.append(over_time.with_margin(fact, trajectory, tree))
+            drawn.append(over_time.with_margin(fact, trajectory, tree, header.spec.after_end))
     shown = over_time.shown_formula(tree)
     return RolloutsOfTest(
         problem=facts[0].rollout.problem,

@@ -11,9 +11,9 @@ from pathlib import Path
 from ...schemas.errors import PerfboundError
 from ...schemas.ids import RECHECK, RolloutId, closing_check
 from ...schemas.trajectory import decode
+from ..campaign.objectives import scored as evaluated
 from ..mathematics.stl.parser import parse_formula
 from ..mathematics.stl.robustness import decided_by_tolerance
-from ..mathematics.stl.robustness import robustness as evaluated
 from ..store import read
 from ..store.files import read_evidence
 
@@ -44,7 +44,8 @@ def scored(directory: Path, specification: str, report: Callable[[str, int, int]
         PerfboundError: the formula cannot be read, names an unknown column, or does not fit the trajectories.
 
     """
-    known = [column.name for column in read.stored_header(directory).spec.columns]
+    spec = read.stored_header(directory).spec
+    known = [column.name for column in spec.columns]
     try:
         formula = parse_formula(specification, known)
     except ValueError as error:
@@ -55,7 +56,7 @@ def scored(directory: Path, specification: str, report: Callable[[str, int, int]
         report("rollouts", number, len(recorded))
         trajectory = decode(read_evidence(directory, path, sha256))
         try:
-            value = evaluated(formula, trajectory.columns, trajectory.samples)
+            value = evaluated(formula, trajectory, spec.after_end)
             border = decided_by_tolerance(formula, trajectory.columns, trajectory.samples)
         except ValueError as error:
             raise PerfboundError(f"--specification: {rollout}: {error}") from None

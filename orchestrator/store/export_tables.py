@@ -178,7 +178,7 @@ _ROLLOUT = (
     ExportColumn("replicate", "integer"),
     ExportColumn("seed", "integer"),
 )
-_BORDER = ExportColumn("by_tolerance", "integer")
+_REMARKS = (ExportColumn("by_tolerance", "integer"), ExportColumn("ended", unit="s"))
 _FILE = (ExportColumn("path", "text"), ExportColumn("size", "integer", "B"), ExportColumn("sha256", "text"))
 _ATTEMPT = (
     ExportColumn("worker", "text"),
@@ -190,18 +190,20 @@ _ATTEMPT = (
 
 def _rollouts(version: int) -> sa.Select[Any]:
     named = {column.name: column for column in tables.readable(tables.rollouts, version)}
-    return _ROLLOUTS.add_columns(named["by_tolerance"])
+    return _ROLLOUTS.add_columns(named["by_tolerance"], named["ended"])
 
 
 def _rollouts_table(name: str, header: Header, query: sa.Select[Any]) -> ExportTable:
     robustness = ExportColumn("robustness", unit=robustness_unit(header.config, header.spec))
-    return ExportTable(name, (*_ROLLOUT, *_starts(header), robustness, _BORDER, *_FILE, *_ATTEMPT), query, _rollout_row)
+    columns = (*_ROLLOUT, *_starts(header), robustness, *_REMARKS, *_FILE, *_ATTEMPT)
+    return ExportTable(name, columns, query, _rollout_row)
 
 
 def _rollout_row(row: Any) -> Iterator[Row]:
     which = (row.id, row.problem, row.test, row.variant, row.replicate, row.seed)
     attempt = (row.worker, row.attempts, row.wall_seconds, row.cpu_seconds)
-    yield *which, *json.loads(row.x), row.robustness, row.by_tolerance, row.path, row.size, row.sha256, *attempt
+    file = (row.path, row.size, row.sha256)
+    yield *which, *json.loads(row.x), row.robustness, row.by_tolerance, row.ended, *file, *attempt
 
 
 # failures

@@ -39,6 +39,7 @@ ADDED_IN = {
     ("sessions", "account"): 7,
     ("sessions", "options"): 8,
     ("rollouts", "by_tolerance"): 9,
+    ("rollouts", "ended"): 9,
 }
 """(table, column) to the schema version that added it; every other column is as old as version 1.
 
@@ -140,7 +141,8 @@ def proposal_fact(row: Any) -> ProposalFact:
 def rollout_fact(row: Any) -> RolloutFact:
     """Read a row of `rollouts`."""
     rollout = RolloutId(row.problem, row.test, row.variant, row.replicate)
-    return RolloutFact(rollout, row.seed, row.sha256, row.size, row.path, row.robustness, bool(row.by_tolerance))
+    file = (row.sha256, row.size, row.path)
+    return RolloutFact(rollout, row.seed, *file, row.robustness, bool(row.by_tolerance), row.ended)
 
 
 def discard_fact(row: Any) -> DiscardFact:

@@ -73,6 +73,7 @@ rollouts = Table(
     Column("path", Text, nullable=False),  # relative to the run directory
     Column("robustness", REAL),  # clipped; recomputed from the trajectory by `verify`
     Column("by_tolerance", Integer),  # 1 where the tolerance around its time stamps could decide its sign
+    Column("ended", REAL),  # s at which it ended before the horizon, if it did
     UniqueConstraint("problem", "test", "variant", "replicate"),
     ForeignKeyConstraint(["problem", "test"], ["tests.problem", "tests.test"]),
     sqlite_strict=True,

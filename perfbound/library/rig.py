@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from ..schemas.errors import DefinitionError
-from ..schemas.system import Column, Parameter, SystemSpec
+from ..schemas.system import AfterEnd, Parameter, Stamps, SystemSpec, timed_columns
 
 
 @dataclass(frozen=True)
@@ -13,7 +13,7 @@ class Rig:
 
     `parameters` has the range and the unit of each parameter of the starting condition, `columns` the unit of each
     column of a trajectory, beside the time `t` in s; with `step`, in seconds, the time of a sample follows from its
-    number. `noisy`: two trials from one start may differ.
+    number. `noisy`: two trials from one start may differ. `stamps` and `after_end` are as those of `@perfbound.system`.
 
     Raises:
         DefinitionError: a name is not one of a-z, 0-9 and _, or a range is none.
@@ -31,6 +31,8 @@ class Rig:
     step: float | None = None
     max_horizon: float = 3600.0
     doc: str = "measured, not simulated"
+    stamps: Stamps = "exact"
+    after_end: AfterEnd | None = None
 
     def __post_init__(self) -> None:
         """Refuse a description that is none."""
@@ -44,11 +46,13 @@ class Rig:
                 name=self.name,
                 doc=self.doc,
                 parameters=tuple(each.model_copy(update={"name": key}) for key, each in self.parameters.items()),
-                columns=tuple(Column(name=key, unit=unit) for key, unit in {"t": "s", **self.columns}.items()),
+                columns=timed_columns(self.columns, self.after_end),
                 variants=("nominal",),
                 noisy=("nominal",) if self.noisy else (),
                 max_horizon=self.max_horizon,
                 repeated="nowhere",
+                stamps=self.stamps,
+                after_end=self.after_end,
             )
         except DefinitionError as error:
             raise DefinitionError(f"rig {self.name!r}: {error}") from None

@@ -100,9 +100,10 @@ def _trajectory(data: object, spec: SystemSpec, step: float | None) -> Trajector
     """
     if isinstance(data, Trajectory):
         return replace(data, visual=None)
-    columns = tuple(column.name for column in spec.columns)
+    columns = spec.own_columns
     if isinstance(data, str | Path):
-        data = _columns_of_csv(Path(data), {column.name: column.unit for column in spec.columns})
+        units = {column.name: column.unit for column in spec.columns if column.name in columns}
+        data = _columns_of_csv(Path(data), units)
     elif not isinstance(data, Mapping) and hasattr(data, "columns") and hasattr(data, "__getitem__"):
         data = _columns_of_frame(data)
     samples = as_samples(data, columns, step)

@@ -241,8 +241,8 @@ def test_a_short_rollout_is_shown_and_refused(folder: Processes, tmp_path: Path)
     assert refused.code == 1
     assert refused.last_line == (
         "perfbound: a campaign would refuse this rollout: the last row, 19, is at t = 1.9 s, and the horizon is 5 s, "
-        "before which it may be by 0.1 s: simulate to the horizon; after an early end hold the last state; or choose "
-        "another --horizon"
+        "before which it may be by 0.1 s: simulate to the horizon, or declare what an early end means: after_end = "
+        '"hold" (the last state stays) or "fail" (it violates the specification); or choose another --horizon'
     )
     assert len(decode((tmp_path / "a.mcap").read_bytes()).samples) == 20
     assert (tmp_path / "a.png").exists()

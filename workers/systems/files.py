@@ -4,13 +4,14 @@ import importlib.util
 import sys
 import sysconfig
 import traceback
-from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from ...schemas.campaign_file import load_description
 from ...schemas.errors import DefinitionError
 from ...schemas.places import PACKAGES
+from ...schemas.space import SystemChoice
 from ..faults import NOT_OF_SYSTEMS
 from .base import SystemUnderTest
 from .declared import DeclaredFiles, WithSpec, declared_files
@@ -38,14 +39,14 @@ def load_reference(reference: str) -> SystemUnderTest:
         return WithSpec(program, program.declared)
     if config.system.python is None:
         raise DefinitionError(f"{path}: its system {config.system.name!r} is installed, and needs no reference")
-    return load_file(str(path.absolute().parent / config.system.python), config.system.files or (), path)
+    return load_file(str(path.absolute().parent / config.system.python), config.system, path)
 
 
-def load_file(reference: str, files: Sequence[str] = (), campaign: Path | None = None) -> SystemUnderTest:
+def load_file(reference: str, said: SystemChoice | None = None, campaign: Path | None = None) -> SystemUnderTest:
     """Return the system `FILE.py:NAME`; its spec carries the digests of the file and of what it imports beside it.
 
-    The digests of the files that it declares, and of the `files` that the file `campaign` declares for it, are in the
-    spec, too, and the versions of the packages that it imports.
+    The digests of the files that it declares are in the spec, too, and the versions of the packages that it imports.
+    `said` is what the file `campaign` says of it besides.
 
     Raises:
         DefinitionError: the file or the name is not there, or is no system, or the file cannot be imported.
@@ -74,12 +75,17 @@ def load_file(reference: str, files: Sequence[str] = (), campaign: Path | None =
     versions = versions_of(sources, modules) | system.spec.versions
     # A class need not derive from the port.
     declared = _declared(getattr(system, "files", ()), path, path.parent) | (
-        {} if campaign is None else _declared(files, campaign.absolute(), path.parent)
+        {} if campaign is None or said is None else _declared(said.files or (), campaign.absolute(), path.parent)
     )
     found_files = DeclaredFiles({name: each for name, each in declared.items() if each not in sources})
-    return WithSpec(
-        system, found_files, code=code_of_files(sources, path.parent) | found_files.digests, versions=versions
-    )
+    keys: dict[str, Any] = {"code": code_of_files(sources, path.parent) | found_files.digests, "versions": versions}
+    if said is not None:
+        try:
+            spec = system.spec.with_said(said.stamps, said.after_end)
+        except DefinitionError as error:
+            raise DefinitionError(f"{campaign}: system.{error}") from None
+        keys |= {key: getattr(spec, key) for key in ("stamps", "after_end", "columns")}
+    return WithSpec(system, found_files, **keys)
 
 
 def _declared(files: object, place: Path, base: Path) -> dict[str, Path]:

@@ -20,7 +20,7 @@ from ...schemas.errors import DefinitionError, SimulationError, shortened
 from ...schemas.ranges import SEED_BITS
 from ...schemas.real_numbers import real_array
 from ...schemas.space import SystemChoice
-from ...schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, Variant
+from ...schemas.system import AfterEnd, Option, OptionValue, Parameter, Stamps, SystemSpec, Variant, timed_columns
 from ...schemas.trajectory import Trajectory, Visual
 from .base import Progress, SystemUnderTest, checked_options
 from .life import signs_of_life
@@ -96,7 +96,7 @@ class FunctionSystem(SystemUnderTest):
             self._instance = self._function()
         with nullcontext() if "progress" in self._passed else signs_of_life(progress):
             returned = self._instance(*x, **keywords)
-        return as_trajectory(returned, tuple(column.name for column in self._spec.columns), self._step)
+        return as_trajectory(returned, self._spec.own_columns, self._step)
 
     def visual(self, trajectory: Trajectory) -> Visual:  # noqa: ARG002  (the same for all)
         """Return a plot of every column: a function has no scene."""
@@ -122,6 +122,8 @@ def system(
     seed_bits: int = SEED_BITS,
     trajectory_bytes: int | None = None,
     files: Sequence[str] = (),
+    stamps: Stamps = "exact",
+    after_end: AfterEnd | None = None,
 ) -> Callable[[Callable[..., Any]], FunctionSystem]:
     """Make a system under test of a function, or of a class with `__call__`.
 
@@ -130,7 +132,9 @@ def system(
     variants that depend on the seed, by default all of a function that takes one. Seeds are below 2^`seed_bits`, which
     is 31 to 53: 32 for Gymnasium and for libraries in C. The name is that of the function. A file of more than
     ten times `trajectory_bytes` is a failed rollout. `files` are those that a rollout reads, such as an FMU or weights:
-    files, folders and patterns, relative to the file of the function; a changed one is another system.
+    files, folders and patterns, relative to the file of the function; a changed one is another system. `stamps` says of
+    what kind the returned times are. With `after_end` a rollout may end before the horizon: "hold" holds its last
+    state, "fail" counts it as a violation besides; trajectories then have a last column, `ended`.
 
     The function returns one array (T,) for each column, one array (T, n), or a dict of arrays; a number for each column
     is one sample at time 0.
@@ -178,7 +182,7 @@ def system(
                 name=(name or str(getattr(function, "__name__", "system"))).lower().strip("_").replace("_", "-"),
                 doc=(inspect.getdoc(function) or "").partition("\n")[0],
                 parameters=tuple(each.model_copy(update={"name": key}) for key, each in parameters.items()),
-                columns=tuple(Column(name=key, unit=unit) for key, unit in {"t": "s", **columns}.items()),
+                columns=timed_columns(columns, after_end),
                 options=options,
                 variants=variants,
                 noisy=tuple(each for each in variants if each in found),
@@ -188,6 +192,8 @@ def system(
                 versions=_interpolating(parameters) | dict(versions or {}),
                 seed_bits=seed_bits,
                 trajectory_bytes=trajectory_bytes,
+                stamps=stamps,
+                after_end=after_end,
             )
         except DefinitionError as error:
             raise DefinitionError(f"{place}: {error}") from None

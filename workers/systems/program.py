@@ -29,7 +29,7 @@ from ...schemas.ranges import MAX_FILE_BYTES, SEED_BITS
 from ...schemas.real_numbers import real_array
 from ...schemas.secret import VARIABLE
 from ...schemas.space import ProgramLimits, SampleFormat, SystemChoice
-from ...schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, Variant
+from ...schemas.system import Option, OptionValue, Parameter, SystemSpec, Variant, timed_columns
 from ...schemas.trajectory import Trajectory, Visual
 from .base import Progress, SystemUnderTest, checked_options
 from .declared import NO_FILES, DeclaredFiles, declared_files
@@ -181,7 +181,7 @@ class ProgramSystem(SystemUnderTest):
             raise SimulationError(f"{self._program} answered {_excerpt(answer)}; {ONE_LINE}")
 
     def _trajectory(self, path: Path) -> Trajectory:
-        names, step = tuple(column.name for column in self._spec.columns), self._choice.step
+        names, step = self._spec.own_columns, self._choice.step
         samples = read_samples(path, self._choice.samples or "csv", names if step is None else names[1:])
         if step is not None:
             samples = np.column_stack([np.arange(len(samples)) * step, samples])
@@ -309,7 +309,7 @@ def load_program(file: Path, config: CampaignConfig) -> ProgramSystem:
             name=_name(next(reversed(named))),
             doc=f"the program {shlex.join(choice.program)}",
             parameters=tuple(_space_parameters(config)),
-            columns=tuple(Column(name=name, unit=unit) for name, unit in {"t": "s", **choice.columns}.items()),
+            columns=timed_columns(choice.columns, choice.after_end),
             options=tuple(_option(name, value) for name, value in sorted(choice.options.items())),
             variants=variants,
             noisy=tuple(each for each in variants if each in noisy),
@@ -317,6 +317,8 @@ def load_program(file: Path, config: CampaignConfig) -> ProgramSystem:
             default_horizon=config.horizon,
             seed_bits=choice.seed_bits or SEED_BITS,
             code=files.digests,
+            stamps=choice.stamps or "exact",
+            after_end=choice.after_end,
         )
     except DefinitionError as error:
         raise DefinitionError(f"{file}: system: {error}") from None

@@ -33,8 +33,8 @@ OF_PROGRAM = {
     "columns": "write the numbers of `columns` alone, in their order, and in the form that `samples` names",
     "finite": "fix the arithmetic at this start (a division by 0, an overflow, an unstable step), or narrow the ranges "
     "of [space] to where the system is defined",
-    "times": "let the first sample be at 0 and the last one at `horizon`, in the steps that `step` names; after an "
-    "early end hold the last state",
+    "times": "let the first sample be at 0 and the last one at `horizon`, in the steps that `step` names; what an "
+    "early end means is said by after_end",
     "repeatable": "set every variable anew at the beginning of a rollout, and draw random numbers from `seed` alone: "
     "no clock, no pid, no order of threads. A program that ends after each rollout keeps nothing",
     "together": "write files into the folder PERFBOUND_SCRATCH, listen at the port PERFBOUND_PORT, and name locks, "

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Mapping
 
-from ....schemas.instants import Stamps
+from ....schemas.system import Stamps
 from ....schemas.system_check import Measured
 from .findings import SystemFinding, failed, passed, warning
 from .measurements import Measurements
@@ -12,8 +12,8 @@ from .trials import CORNER, START
 STEP_SPREAD = 1e-6
 """Relative difference of the steps of a grid that is round-off of its times."""
 STAMPS: Mapping[Stamps, str] = {
-    "float32": "the times are rounded to float32: a border of a window takes in the sample that is nearest to it",
-    "accumulated": "the times are sums of steps with their round-off: give the number of the step times the step",
+    "float32": "the times are rounded to float32, so a border of a window takes in the sample that is nearest to it",
+    "accumulated": "the times are sums of a step with their round-off; better is the number of the step times the step",
 }
 """What is said of times that are not exact."""
 
@@ -60,8 +60,8 @@ _REMEDIES = {
 }
 
 _REMEDY_UNCOVERED = (
-    "let the first sample be at 0 and the last one at the horizon, in seconds; after an early end hold the last state. "
-    "A system with a duration of its own takes that one: --horizon"
+    "let the first sample be at 0 and the last one at the horizon, in seconds, or declare after_end. A "
+    "system with a duration of its own takes that one: --horizon"
 )
 
 
@@ -131,8 +131,13 @@ def judge_times(measurements: Measurements) -> SystemFinding | None:
         return warning("times", f"rollouts of one horizon have different times: {one}, {other}", remedy)
     samples, step = kinds[0]
     text = f"{samples} samples from 0 to {grids[0][1].last:g} s in steps of {step:g} s"
-    text += next((f"; {STAMPS[grid.stamps]}" for _, grid in grids if grid.stamps in STAMPS), "")
-    return passed("times", text if samples > 1 else "one sample at 0")
+    given: list[Stamps] = [grid.stamps for _, grid in grids if grid.stamps != "exact"]
+    text = (text if samples > 1 else "one sample at 0") + (f"; {STAMPS[given[0]]}" if given else "")
+    declared = measurements.spec.stamps
+    if given and given[0] != declared:
+        remedy = f'declare stamps = "{given[0]}", so that the certificate is about a system whose times are known'
+        return warning("times", f"{text}; the system says that they are {declared}", remedy)
+    return passed("times", text)
 
 
 def judge_horizon(measurements: Measurements) -> SystemFinding | None:

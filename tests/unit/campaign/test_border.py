@@ -211,7 +211,8 @@ def older(directory: Path, version: int) -> None:
         connection.execute(
             "CREATE TRIGGER schema_no_update BEFORE UPDATE ON schema BEGIN SELECT RAISE(ABORT, 'schema'); END"
         )
-        connection.execute("ALTER TABLE rollouts DROP COLUMN by_tolerance")
+        for column in ("by_tolerance", "ended"):
+            connection.execute(f"ALTER TABLE rollouts DROP COLUMN {column}")
         connection.executescript("DROP TABLE set_aside; DROP TABLE opinions; DROP TABLE extensions")
         for column in ("platform", "account", "options"):
             connection.execute(f"ALTER TABLE sessions DROP COLUMN {column}")

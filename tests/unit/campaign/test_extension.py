@@ -326,6 +326,8 @@ def test_a_database_of_before_is_upgraded(before: Path, run: Path) -> None:
     edit(before, "DROP TABLE extensions")
     edit(before, "ALTER TABLE sessions DROP COLUMN account")
     edit(before, "ALTER TABLE sessions DROP COLUMN options")
+    edit(before, "ALTER TABLE rollouts DROP COLUMN by_tolerance")
+    edit(before, "ALTER TABLE rollouts DROP COLUMN ended")
     extended(before, campaign(), 10)
     assert text(before) == text(run)
     assert not verified(before)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from perfbound.orchestrator.campaign.objectives import clipped_robustness, signal_sup
+from perfbound.orchestrator.campaign.objectives import clipped, scored, signal_sup
 from perfbound.orchestrator.mathematics.stl.parser import parse_formula
 from perfbound.orchestrator.mathematics.stl.predicates import predicate_sup
 from perfbound.orchestrator.mathematics.stl.robustness import robustness
@@ -34,9 +34,9 @@ def test_the_gaps_are_ordered_on_every_rollout(gains: str) -> None:
         )
         columns, phi = true.columns, true.columns.index("phi")
         gap = abs(robustness(formula, columns, nominal.samples) - robustness(formula, columns, true.samples))
-        clipped = [clipped_robustness(formula, columns, each.samples, (-0.05, 0.75)) for each in (nominal, true)]
+        values = [clipped(scored(formula, each, None), (-0.05, 0.75)) for each in (nominal, true)]
         predicates = predicate_sup(formula, columns, true.samples, nominal.samples)
-        assert abs(clipped[0] - clipped[1]) <= gap <= predicates <= signal_sup(phi, true.samples, nominal.samples)
+        assert abs(values[0] - values[1]) <= gap <= predicates <= signal_sup(phi, true.samples, nominal.samples)
         assert predicates > 0
         wide = abs(robustness(wider, columns, nominal.samples) - robustness(wider, columns, true.samples))
         assert wide <= predicate_sup(wider, columns, true.samples, nominal.samples)

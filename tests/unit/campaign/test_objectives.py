@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from perfbound.orchestrator.campaign.objectives import clipped_robustness, column_maximum, mean, risk, signal_sup
+from perfbound.orchestrator.campaign.objectives import clipped, column_maximum, mean, risk, scored, signal_sup
 from perfbound.orchestrator.mathematics.stl.parser import parse_formula
+from perfbound.schemas.trajectory import Trajectory
 
 COLUMNS = ("t", "phi")
 SPECIFICATION = parse_formula("always (abs(phi) <= 0.95)")
@@ -23,17 +24,16 @@ def trace(*phi: float) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
 
 @pytest.mark.parametrize(("worst", "expected"), [(0.24, 0.71), (0.0, 0.75), (1.5, -0.05)])
 def test_robustness_is_clipped(worst: float, expected: float) -> None:
-    assert clipped_robustness(SPECIFICATION, COLUMNS, trace(0.0, -worst), CLIP) == pytest.approx(expected)
+    rollout = Trajectory(COLUMNS, trace(0.0, -worst))
+    assert clipped(scored(SPECIFICATION, rollout, None), CLIP) == pytest.approx(expected)
 
 
 def test_an_empty_clip_is_refused() -> None:
     with pytest.raises(ValueError, match="clip"):
-        clipped_robustness(SPECIFICATION, COLUMNS, trace(0.0), (0.75, -0.05))
+        clipped(0.0, (0.75, -0.05))
 
 
 def test_a_nan_is_never_a_score() -> None:
-    with pytest.raises(ValueError, match="not a finite number"):
-        clipped_robustness(SPECIFICATION, COLUMNS, trace(0.0, math.nan), CLIP)
     with pytest.raises(ValueError, match="not a finite number"):
         signal_sup(1, trace(0.0, math.nan), trace(0.0, 0.0))
     with pytest.raises(ValueError, match="not a finite number"):

@@ -542,7 +542,7 @@ def test_rows_that_stand_there_twice(campaign: Path) -> None:
 def test_a_rollout_of_a_test_that_nobody_proposed(campaign: Path) -> None:
     with editing(campaign) as database:
         database.execute(
-            "INSERT INTO rollouts SELECT 9999, problem, 77, variant, replicate, seed, sha256, size, path, -1, 0 "
+            "INSERT INTO rollouts SELECT 9999, problem, 77, variant, replicate, seed, sha256, size, path, -1, 0, NULL "
             "FROM rollouts WHERE test = 3 LIMIT 1"
         )
     assert failed(campaign) == ["database"]

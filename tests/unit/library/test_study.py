@@ -346,3 +346,28 @@ def test_what_the_tolerance_around_time_stamps_could_decide_is_counted(tmp_path:
 def test_stamps_that_are_exact_are_not_counted(study: Study) -> None:
     finish(study)
     assert "borders" not in statuses(study)
+
+
+@pytest.mark.parametrize("after_end", ["hold", "fail"])
+def test_an_early_end_is_what_the_rig_declares(tmp_path: Path, after_end: str) -> None:
+    keys = KEYS | {"clip": (-1, 2)}
+    with pb.Campaign(rig(after_end=after_end), **keys).ask_tell(tmp_path / "run") as study:
+        for samples in (6, 3, 6):
+            study.tell(asked(study), {"y": np.full(samples, 0.5)})
+        status, detail = statuses(study)["early_ends"]
+        assert "1 of 3 rollouts end before the horizon, the first of them robustness.1.nominal.0" in detail
+        assert status == ("assumed" if after_end == "hold" else "derived")
+        found = study.run.rollouts
+        np.testing.assert_equal(found["ended"], [np.nan, 0.4, np.nan])
+        assert list(found["robustness"]) == [1.5, 1.5 if after_end == "hold" else pytest.approx(-0.6), 1.5]
+        assert study.run.verify().checks.good
+    with closing(sqlite3.connect(tmp_path / "run" / DATABASE)) as database, database:
+        database.execute("DROP TRIGGER rollouts_no_update")
+        database.execute("UPDATE rollouts SET ended = NULL")
+    (failed,) = [each for each in pb.open(tmp_path / "run").verify().checks.lines() if each.status == "failed"]
+    assert "robustness.1.nominal.0: ended" in failed.detail
+
+
+def test_an_early_end_is_refused_with_the_remedy_where_nothing_is_declared(study: Study) -> None:
+    with pytest.raises(PerfboundError, match='after_end = "hold"'):
+        study.tell(asked(study), {"y": np.full(3, 0.5)})

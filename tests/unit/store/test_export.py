@@ -107,7 +107,7 @@ def test_rollouts_are_those_of_the_database(campaign: Path) -> None:
     }
     attempts = dict(query(campaign, "SELECT rollout, count(*) FROM attempts GROUP BY rollout"))
     assert len(found) == len(facts) == ROLLOUTS
-    for row, (_, problem, test, variant, replicate, seed, sha256, size, path, robustness, border) in zip(
+    for row, (_, problem, test, variant, replicate, seed, sha256, size, path, robustness, border, ended) in zip(
         found, facts, strict=True
     ):
         name = f"{problem}.{test}.{variant}.{replicate}"
@@ -121,6 +121,7 @@ def test_rollouts_are_those_of_the_database(campaign: Path) -> None:
             seed,
             robustness,
             border,
+            ended,
             path,
             size,
             sha256,
@@ -130,9 +131,8 @@ def test_rollouts_are_those_of_the_database(campaign: Path) -> None:
             cpu,
         )
         titles = ("rollout", "problem", "test", "variant", "replicate", "seed", "robustness (1)", "by_tolerance")
-        assert [
-            row[title] for title in (*titles, "path", "size (B)", "sha256", "worker", "attempts", "wall (s)", "cpu (s)")
-        ] == [plain(value) for value in values]
+        after = ("ended (s)", "path", "size (B)", "sha256", "worker", "attempts", "wall (s)", "cpu (s)")
+        assert [row[title] for title in (*titles, *after)] == [plain(value) for value in values]
 
 
 def test_tests_are_those_of_the_database_as_risks(campaign: Path) -> None:

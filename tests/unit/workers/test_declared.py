@@ -248,7 +248,42 @@ def test_a_worker_with_another_file_blames_itself_and_not_the_system(
     assert "Tank.fmu: this file was replaced" in found.reason
 
 
-def test_an_installed_system_takes_no_files_from_a_campaign(tmp_path: Path) -> None:
-    (tmp_path / "c.toml").write_text('[system]\nname = "segway"\nfiles = ["a"]\n[space]\nx = [0, 1]\n')
-    with pytest.raises(PerfboundError, match=r"files: an installed system lists its files itself, in its class"):
+@pytest.mark.parametrize("key", ["files", "stamps", "after_end"])
+def test_an_installed_system_takes_nothing_of_it_from_a_campaign(tmp_path: Path, key: str) -> None:
+    value = {"files": '["a"]', "stamps": '"float32"', "after_end": '"hold"'}[key]
+    (tmp_path / "c.toml").write_text(f'[system]\nname = "segway"\n{key} = {value}\n[space]\nx = [0, 1]\n')
+    with pytest.raises(PerfboundError, match=rf"{key}: an installed system says this itself, in its class: {key} = "):
         load_reference(str(tmp_path / "c.toml"))
+
+
+TWO = """
+import perfbound as pb
+keys = {"parameters": {"x": pb.Parameter(0, 1)}, "columns": {"y": "m"}, "step": 0.1}
+@pb.system(**keys)
+def f(x): return [x, x]
+@pb.system(**keys, after_end="fail")
+def g(x): return [x, x]
+"""
+SAYING = """
+specification = "always (y >= 0)"
+max_tests = 10
+claims = [{ quantity = "failure_probability" }]
+[system]
+python = "two.py:f"
+stamps = "float32"
+after_end = "hold"
+[space]
+x = [0, 1]
+"""
+
+
+def test_a_campaign_says_more_of_a_function_in_a_file(tmp_path: Path) -> None:
+    (tmp_path / "two.py").write_text(TWO)
+    file = tmp_path / "c.toml"
+    file.write_text(SAYING)
+    found = load_reference(str(file)).spec
+    assert (found.stamps, found.after_end, found.columns[-1].name) == ("float32", "hold", "ended")
+    assert found.digest != load_reference(f"{tmp_path / 'two.py'}:f").spec.digest
+    file.write_text(SAYING.replace("two.py:f", "two.py:g"))
+    with pytest.raises(PerfboundError, match=r"c\.toml: system\.after_end: is 'hold', and the system itself says"):
+        load_reference(str(file))

@@ -62,6 +62,42 @@ def test_the_spec_follows_from_the_signature() -> None:
     assert my_cars(10.0, 5.0, seed=0) == 8.0, "it can still be called"
 
 
+def whole(found: FunctionSystem, x: float = 0.5) -> Any:
+    """Return the trajectory of a rollout of 2 s, as a worker sends it."""
+    template = RequestTemplate.of(found.spec, {}, horizon=2.0, visual=True)
+    request = template.request(RolloutId("robustness", 0, "nominal", 0), (x,), 7)
+    return read_mcap(run_request_on(found, request, lambda _: None)).trajectory
+
+
+def short(x: float, *, horizon: float) -> np.ndarray[Any, Any]:
+    return np.full((round(horizon * x / 0.1) + 1, 2), x)
+
+
+def test_an_early_end_is_held_where_the_system_declares_it() -> None:
+    found = whole(made(short, step=0.1, after_end="hold"))
+    assert found.columns == ("t", "a", "b", "ended")
+    assert found.column("t").tobytes() == (np.arange(21) * 0.1).tobytes()
+    assert found.column("ended").tolist() == [0.0] * 11 + [1.0] * 10
+    assert set(found.column("a")) == {0.5}
+    assert not whole(made(short, step=0.1, after_end="fail"), 1.0).column("ended").any()
+    assert whole(made(short, step=0.1)).columns == ("t", "a", "b")
+    with pytest.raises(DefinitionError, match="columns: ended is the column that after_end adds; leave it out"):
+        made(short, columns={"a": "m", "ended": ""}, after_end="hold")
+    assert made(short, columns={"a": "m", "ended": ""}).spec.after_end is None
+
+
+def test_a_spec_by_hand_has_the_column_of_the_end() -> None:
+    with pytest.raises(DefinitionError, match="with after_end the last one is ended"):
+        pb.SystemSpec(
+            name="a",
+            doc="",
+            parameters=(pb.Parameter(0, 1, name="x"),),
+            columns=(pb.Column(name="t", unit="s"), pb.Column(name="y", unit="m")),
+            max_horizon=1,
+            after_end="hold",
+        )
+
+
 OVER_TIME = {"u": pb.Parameter(0, 1, signal=True), "x": pb.Parameter(0, 9)}
 
 
