@@ -13,7 +13,7 @@ resolution of float32 there, unless the stamps around are closer together than t
 import numpy as np
 from numpy.typing import NDArray
 
-from .system import Stamps
+from .values import Stamps
 
 Floats = NDArray[np.float64]
 

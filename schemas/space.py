@@ -9,7 +9,8 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from .base import Model
 from .ranges import SEED_BITS
 from .signals import MAX_KNOTS, SignalKind, least_knots
-from .system import AfterEnd, OptionValue, Stamps, Variant
+from .system import AfterEnd, OptionValue, Variant
+from .values import Stamps
 
 MAX_SCENARIOS = 1000
 MAX_TABLE = 10_000

@@ -12,6 +12,7 @@ from .errors import DefinitionError, shortened
 from .ranges import MAX_FILE_BYTES, SEED_BITS, FileBytes, Magnitude, Seconds, SeedBits
 from .rules import KNOWN, RULES
 from .signals import SignalShape
+from .values import Stamps
 
 ADDED = ("timed", "code", "default_horizon", "seed_bits", "repeated", "trajectory_bytes", "stamps", "after_end")
 """Keys of a SystemSpec that no campaign of rules 1 has."""
@@ -25,8 +26,6 @@ ASSUMED_HORIZON = 10.0
 """Seconds, where neither the user nor the system names a horizon."""
 Variant = Literal["nominal", "true"]
 OptionValue = str | Magnitude
-Stamps = Literal["exact", "float32", "accumulated"]
-"""Times of samples: numbers of a step, rounded to float32, or sums with the round-off of every step."""
 AfterEnd = Literal["hold", "fail"]
 """What a rollout that ends before the horizon is: its last state stays, or it violates the specification besides."""
 

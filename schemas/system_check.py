@@ -4,7 +4,7 @@ from pydantic import Field
 
 from .base import Model
 from .rollout import RolloutRequest
-from .system import Stamps
+from .values import Stamps
 
 
 class Trial(Model):

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 Verdict = Literal["converged", "refuted", "counterexample"]
+Stamps = Literal["exact", "float32", "accumulated"]
+"""Times of samples: numbers of a step, rounded to float32, or sums with the round-off of every step."""
 SampledQuantity = Literal["failure_probability", "quantile", "cvar", "mean", "risk", "share_of_starts", "next_rollout"]
 """The subject of a claim about drawn starts."""
 StoppedBy = Literal["converged", "budget", "refuted", "counterexample"]

@@ -17,7 +17,7 @@ from ...schemas.early_end import missing_share
 from ...schemas.system import AfterEnd
 from ...schemas.trajectory import Trajectory
 from ..mathematics.stl.predicates import check_grids
-from ..mathematics.stl.robustness import robustness
+from ..mathematics.stl.robustness import Evaluated, evaluated
 from ..mathematics.stl.tree import Formula
 from .plan import ProblemPlan
 
@@ -42,7 +42,7 @@ def measured(value: float, name: str) -> float:
     return value
 
 
-def scored(formula: Formula, trajectory: Trajectory, after_end: AfterEnd | None) -> float:
+def scored(formula: Formula, trajectory: Trajectory, after_end: AfterEnd | None) -> Evaluated:
     """Return the robustness of a rollout, not clipped, with what the system declares of an early end.
 
     Formula: rho, and with `after_end = "fail"` min(rho, -(share of the horizon that is missing)) after an early end:
@@ -52,9 +52,9 @@ def scored(formula: Formula, trajectory: Trajectory, after_end: AfterEnd | None)
         ValueError: as `robustness`.
 
     """
-    found = robustness(formula, trajectory.columns, trajectory.samples)
+    found = evaluated(formula, trajectory.columns, trajectory.samples)
     share = missing_share(trajectory) if after_end == "fail" else 0.0
-    return min(found, -share) if share else found
+    return Evaluated(min(found.robustness, -share), by_tolerance=False) if share else found
 
 
 def clipped(value: float, clip: tuple[float, float]) -> float:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from weakref import WeakKeyDictionary
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.early_end import end_of, missing_share
+from ...schemas.early_end import end_of
 from ...schemas.errors import CampaignError
 from ...schemas.problems import OBJECTIVES, replicates_are_robustness
 from ...schemas.requirements import parts_of
@@ -14,7 +14,7 @@ from ...schemas.values import Observation
 from ..mathematics.bounds.risk import linearised
 from ..mathematics.stl.parser import Formula, parse_formula
 from ..mathematics.stl.predicates import predicate_sup
-from ..mathematics.stl.robustness import decided_by_tolerance
+from ..mathematics.stl.robustness import Evaluated
 from . import objectives
 from .plan import UNBOUNDED, ProblemPlan
 
@@ -43,7 +43,7 @@ class Observer:
         self._parts = {
             each.name: Observer(part, spec) for each, part in zip(config.specifications, parts_of(config), strict=False)
         }
-        self._scored: WeakKeyDictionary[Trajectory, float] = WeakKeyDictionary()
+        self._known: WeakKeyDictionary[Trajectory, dict[Formula, Evaluated]] = WeakKeyDictionary()
         self._compared: WeakKeyDictionary[Trajectory, WeakKeyDictionary[Trajectory, float]] = WeakKeyDictionary()
 
     @property
@@ -61,22 +61,20 @@ class Observer:
         """
         if self._parsed is None or self._clip is None:
             return None
-        found = self._scored.get(trajectory)  # needed when it is recorded, and when its test is observed
-        if found is None:
-            found = self._score(self._parsed, trajectory, self._clip)
-            self._scored[trajectory] = found
-        return found
+        return objectives.clipped(self._evaluated(trajectory, self._parsed).robustness, self._clip)
 
     def decided_by_tolerance(self, trajectory: Trajectory) -> bool:
         """Whether the tolerance of its time stamps could decide the sign of the specification, or of a requirement."""
         # A clip of one sign leaves nothing to decide, but changes no word: the sign is that of the specification.
-        if self._after_end == "fail" and missing_share(trajectory):
-            return False  # it violates them all
         formulas = ([] if self._parsed is None else [self._parsed]) + self._requirements
-        return any(decided_by_tolerance(each, trajectory.columns, trajectory.samples) for each in formulas)
+        return any(self._evaluated(trajectory, each).by_tolerance for each in formulas)
 
-    def _score(self, formula: Formula, trajectory: Trajectory, clip: tuple[float, float]) -> float:
-        return objectives.clipped(objectives.scored(formula, trajectory, self._after_end), clip)
+    def _evaluated(self, trajectory: Trajectory, formula: Formula) -> Evaluated:
+        # Needed when a rollout is checked, when it is recorded, and when its test is observed.
+        known = self._known.setdefault(trajectory, {})
+        if formula not in known:
+            known[formula] = objectives.scored(formula, trajectory, self._after_end)
+        return known[formula]
 
     def end(self, trajectory: Trajectory) -> float | None:
         """Return when a rollout ended, in s, if that was before the horizon."""
@@ -141,7 +139,7 @@ class Observer:
     def _of_requirements(self, plan: ProblemPlan, trajectories: Trajectories) -> Iterator[float]:
         for formula in self._requirements:
             for each in trajectories.values():
-                yield self._score(formula, each, plan.clip)
+                yield objectives.clipped(self._evaluated(each, formula).robustness, plan.clip)
 
     def _risk(self, plan: ProblemPlan, trajectories: Trajectories) -> Observation:
         problem, values, weight = plan.problem, self._scores(trajectories), plan.risk_weight

@@ -93,7 +93,7 @@ def score(specification: str | None, spec: SystemSpec) -> Score:
 
     def robust(trajectory: Trajectory) -> float:
         try:
-            return scored(formula, trajectory, spec.after_end)
+            return scored(formula, trajectory, spec.after_end).robustness
         except ValueError as error:
             raise PerfboundError(f"--specification: {error}") from None
 

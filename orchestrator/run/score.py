@@ -11,9 +11,8 @@ from pathlib import Path
 from ...schemas.errors import PerfboundError
 from ...schemas.ids import RECHECK, RolloutId, closing_check
 from ...schemas.trajectory import decode
-from ..campaign.objectives import scored as evaluated
+from ..campaign.objectives import scored as objective
 from ..mathematics.stl.parser import parse_formula
-from ..mathematics.stl.robustness import decided_by_tolerance
 from ..store import read
 from ..store.files import read_evidence
 
@@ -56,11 +55,10 @@ def scored(directory: Path, specification: str, report: Callable[[str, int, int]
         report("rollouts", number, len(recorded))
         trajectory = decode(read_evidence(directory, path, sha256))
         try:
-            value = evaluated(formula, trajectory, spec.after_end)
-            border = decided_by_tolerance(formula, trajectory.columns, trajectory.samples)
+            value = objective(formula, trajectory, spec.after_end)
         except ValueError as error:
             raise PerfboundError(f"--specification: {rollout}: {error}") from None
-        found.append(ScoredRollout(str(rollout), rollout.variant, float(value), border))
+        found.append(ScoredRollout(str(rollout), rollout.variant, *value))
     return found
 
 

@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from ..schemas.errors import DefinitionError
-from ..schemas.system import AfterEnd, Parameter, Stamps, SystemSpec, timed_columns
+from ..schemas.system import AfterEnd, Parameter, SystemSpec, timed_columns
+from ..schemas.values import Stamps
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,9 @@ from ...schemas.errors import DefinitionError, SimulationError, shortened
 from ...schemas.ranges import SEED_BITS
 from ...schemas.real_numbers import real_array
 from ...schemas.space import SystemChoice
-from ...schemas.system import AfterEnd, Option, OptionValue, Parameter, Stamps, SystemSpec, Variant, timed_columns
+from ...schemas.system import AfterEnd, Option, OptionValue, Parameter, SystemSpec, Variant, timed_columns
 from ...schemas.trajectory import Trajectory, Visual
+from ...schemas.values import Stamps
 from .base import Progress, SystemUnderTest, checked_options
 from .life import signs_of_life
 from .place import Worker

@@ -3,8 +3,8 @@
 import re
 from collections.abc import Mapping
 
-from ....schemas.system import Stamps
 from ....schemas.system_check import Measured
+from ....schemas.values import Stamps
 from .findings import SystemFinding, failed, passed, warning
 from .measurements import Measurements
 from .trials import CORNER, START

@@ -151,15 +151,23 @@ class Grid:
 
 
 class StrictGrid(Grid):
-    """The same sample times with windows by their numbers, without the tolerance around a stamp.
+    """The sample times of a grid with windows by their numbers, without the tolerance around a stamp.
 
-    Where such a window would have no sample it is that of the tolerance: there is no other reading.
+    Where such a window would have no sample it is that of the grid: there is no other reading.
     """
 
+    def __init__(self, grid: Grid) -> None:
+        super().__init__(grid._given)
+        self._tolerant = grid
+
     def _search(self, interval: Interval) -> Windows:
-        found = super()._search(interval)
+        found = self._tolerant.windows(interval)
         if interval == REST:
             return found
-        strict = self._within(interval, *reached(self._times, strict=True))
+        strict = self._within(interval, *self._reached)
         there = strict.first < strict.stop
         return Windows(np.where(there, strict.first, found.first), np.where(there, strict.stop, found.stop))
+
+    @cached_property
+    def _reached(self) -> tuple[Floats, Floats]:
+        return reached(self._times, strict=True)

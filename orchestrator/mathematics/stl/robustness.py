@@ -13,6 +13,7 @@ min(rho_right(i), min of rho_left(j) over k <= j <= i); in the reading of [ARA] 
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from .grid import Grid, StrictGrid
 from .predicates import Floats, Signals
 from .tree import Always, And, Comparison, Eventually, Formula, Implies, Not, Or, Temporal, Until, walk
 
-__all__ = ["decided_by_tolerance", "margins_at_samples", "robustness"]
+__all__ = ["Evaluated", "evaluated", "margins_at_samples", "robustness"]
 
 
 def robustness(tree: Formula, columns: Sequence[str], samples: Floats) -> float:
@@ -52,12 +53,20 @@ def robustness(tree: Formula, columns: Sequence[str], samples: Floats) -> float:
     return float(margins_at_samples(tree, signals, grid)[0])
 
 
-def decided_by_tolerance(tree: Formula, columns: Sequence[str], samples: Floats) -> bool:
-    """Whether the tolerance around time stamps, see `schemas.instants`, could decide the sign of the robustness.
+class Evaluated(NamedTuple):
+    """The robustness of a trajectory, and whether the tolerance around its time stamps could decide its sign."""
 
-    Formula: with each border of a window on either side of the stamps within its tolerance, rho is between
-    rho_low, which takes its minima over all of them and its maxima over none, and rho_high, which does the opposite.
-    Their signs differ.
+    robustness: float
+    by_tolerance: bool
+
+
+def evaluated(tree: Formula, columns: Sequence[str], samples: Floats) -> Evaluated:
+    """Return the robustness, as `robustness` does, and whether the tolerance of `schemas.instants` could decide its
+    sign.
+
+    Formula: with each border of a window on either side of the stamps within its tolerance, rho is between rho_low,
+    which takes its minima over all of them and its maxima over none, and rho_high, which does the opposite. Their
+    signs differ.
 
     Raises:
         As `robustness`.
@@ -65,18 +74,19 @@ def decided_by_tolerance(tree: Formula, columns: Sequence[str], samples: Floats)
     >>> from perfbound.orchestrator.mathematics.stl.parser import parse_formula
     >>> x = np.array([[0.0, 1.0], [0.1, 1.0], [0.2, 1.0], [0.3, -1.0]])
     >>> float32 = np.column_stack([x[:, 0].astype(np.float32), x[:, 1]])
-    >>> [decided_by_tolerance(parse_formula("always[0,0.3] x >= 0"), ("t", "x"), each) for each in (x, float32)]
-    [False, True]
+    >>> [evaluated(parse_formula("always[0,0.3] x >= 0"), ("t", "x"), each) for each in (x, float32)]
+    [Evaluated(robustness=-1.0, by_tolerance=False), Evaluated(robustness=-1.0, by_tolerance=True)]
 
     """
-    grid, strict = Grid(samples[:, 0]), StrictGrid(samples[:, 0])
+    signals, grid = Signals(columns, samples), Grid(samples[:, 0])
     grid.check(tree)
+    value = float(margins_at_samples(tree, signals, grid)[0])
+    strict = StrictGrid(grid)
     intervals = {node.interval for node in walk(tree) if isinstance(node, Temporal)}
     if all(grid.windows(each).are(strict.windows(each)) for each in intervals):
-        return False
-    signals = Signals(columns, samples)
+        return Evaluated(value, by_tolerance=False)
     low, high = (margins_at_samples(tree, signals, *grids)[0] for grids in ((grid, strict), (strict, grid)))
-    return bool(np.sign(low) != np.sign(high))
+    return Evaluated(value, by_tolerance=bool(np.sign(low) != np.sign(high)))
 
 
 def margins_at_samples(tree: Formula, signals: Signals, grid: Grid, maxima: Grid | None = None) -> Floats:

@@ -34,7 +34,7 @@ def test_the_gaps_are_ordered_on_every_rollout(gains: str) -> None:
         )
         columns, phi = true.columns, true.columns.index("phi")
         gap = abs(robustness(formula, columns, nominal.samples) - robustness(formula, columns, true.samples))
-        values = [clipped(scored(formula, each, None), (-0.05, 0.75)) for each in (nominal, true)]
+        values = [clipped(scored(formula, each, None).robustness, (-0.05, 0.75)) for each in (nominal, true)]
         predicates = predicate_sup(formula, columns, true.samples, nominal.samples)
         assert abs(values[0] - values[1]) <= gap <= predicates <= signal_sup(phi, true.samples, nominal.samples)
         assert predicates > 0

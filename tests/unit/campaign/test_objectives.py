@@ -25,7 +25,7 @@ def trace(*phi: float) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
 @pytest.mark.parametrize(("worst", "expected"), [(0.24, 0.71), (0.0, 0.75), (1.5, -0.05)])
 def test_robustness_is_clipped(worst: float, expected: float) -> None:
     rollout = Trajectory(COLUMNS, trace(0.0, -worst))
-    assert clipped(scored(SPECIFICATION, rollout, None), CLIP) == pytest.approx(expected)
+    assert clipped(scored(SPECIFICATION, rollout, None).robustness, CLIP) == pytest.approx(expected)
 
 
 def test_an_empty_clip_is_refused() -> None:

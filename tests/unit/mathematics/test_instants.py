@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from perfbound.orchestrator.mathematics.stl.grid import StrictGrid
+from perfbound.orchestrator.mathematics.stl.grid import Grid, StrictGrid
 from perfbound.orchestrator.mathematics.stl.parser import parse_formula
 from perfbound.orchestrator.mathematics.stl.predicates import Signals, check_grids
-from perfbound.orchestrator.mathematics.stl.robustness import decided_by_tolerance, margins_at_samples, robustness
+from perfbound.orchestrator.mathematics.stl.robustness import evaluated, margins_at_samples, robustness
 from perfbound.orchestrator.mathematics.stl.tree import Formula
 from perfbound.schemas.instants import disorder, reached, slack, stamps, uncovered
 
@@ -66,7 +66,7 @@ def spoiled(rng: np.random.Generator, exact: Floats, step: float) -> tuple[str, 
 
 def by_numbers(tree: Formula, samples: Floats) -> float:
     """Return the robustness by windows without a tolerance."""
-    return float(margins_at_samples(tree, Signals(NAMES, samples), StrictGrid(samples[:, 0]))[0])
+    return float(margins_at_samples(tree, Signals(NAMES, samples), StrictGrid(Grid(samples[:, 0])))[0])
 
 
 def test_200_grids_and_50_formulas_give_what_exact_stamps_give() -> None:
@@ -87,11 +87,11 @@ def test_200_grids_and_50_formulas_give_what_exact_stamps_give() -> None:
             tree = parse_formula(random_formula(rng, step, steps), NAMES)
             one, other = (robustness(tree, NAMES, np.column_stack((each[rows], values))) for each in (exact, times))
             assert one == other, (kind, step)
-            assert not decided_by_tolerance(tree, NAMES, np.column_stack((exact[rows], values))), step
+            assert not evaluated(tree, NAMES, np.column_stack((exact[rows], values))).by_tolerance, step
             # Of the windows by the numbers of these stamps: what another sign would follow from is counted.
             strict = by_numbers(tree, np.column_stack((times[rows], values)))
             if np.sign(strict) != np.sign(other):
-                assert decided_by_tolerance(tree, NAMES, np.column_stack((times[rows], values))), (kind, step)
+                assert evaluated(tree, NAMES, np.column_stack((times[rows], values))).by_tolerance, (kind, step)
                 decided += 1
             compared += 1
     assert compared >= 0.9 * GRIDS * FORMULAS
@@ -213,4 +213,4 @@ def test_a_rollout_says_where_the_tolerance_could_decide_its_sign(formula: str, 
     times = np.arange(5, dtype=np.float64) * 0.1
     times[3] += moved
     samples = np.column_stack((times, AT_A_BORDER, AT_A_BORDER))
-    assert decided_by_tolerance(parse_formula(formula, NAMES), NAMES, samples) is decided
+    assert evaluated(parse_formula(formula, NAMES), NAMES, samples).by_tolerance is decided
