@@ -1,13 +1,19 @@
 """The files of the certificate and its manifest in the run directory."""
 
+import hashlib
+from collections.abc import Mapping
 from pathlib import Path
 
 from ...schemas import atomic
-from ...schemas.certificate import MAX_CERTIFICATE, Certificate
+from ...schemas.attempt_record import AttemptRecord, TableDigest
+from ...schemas.certificate import MAX_CERTIFICATE, Certificate, Subject
 from ...schemas.errors import EvidenceError
 from ..store import files
+from .sentences import in_own_words
 
 __all__ = [
+    "ATTEMPTS",
+    "ATTEMPTS_ENVELOPE",
     "CERTIFICATE",
     "ENVELOPE",
     "MANIFEST",
@@ -23,6 +29,10 @@ __all__ = [
 CERTIFICATE = "certificate.json"
 ENVELOPE = "certificate.dsse.json"
 """The certificate with its signatures."""
+ATTEMPTS = "attempts.json"
+"""The record of the attempts behind the certificate."""
+ATTEMPTS_ENVELOPE = "attempts.dsse.json"
+"""That record with its signatures."""
 MAX_MANIFEST = 2**28
 """Bytes; a rollout takes 130 of a manifest."""
 REGIONS = "regions.csv"
@@ -33,12 +43,20 @@ MANIFEST = "manifest.sha256"
 """`sha256sum --check manifest.sha256` in the run directory checks every trajectory file."""
 
 
-OF_CERTIFICATE = (CERTIFICATE, ENVELOPE, MANIFEST, REGIONS, "report.html")
+OF_CERTIFICATE = (CERTIFICATE, ENVELOPE, MANIFEST, REGIONS, ATTEMPTS, ATTEMPTS_ENVELOPE, "report.html")
 """What a certificate consists of, or shows."""
 
 
-def write(directory: Path, certificate: Certificate, manifest: str, regions: str | None = None) -> None:
-    """Write the manifest, the table of regions if there is one, then the certificate, each whole or not at all.
+def write(
+    directory: Path,
+    certificate: Certificate,
+    manifest: str,
+    regions: str | None = None,
+    attempts: Mapping[str, TableDigest] | None = None,
+) -> None:
+    """Write the manifest, the table of regions and the record of attempts if there are any, then the certificate.
+
+    Each whole or not at all.
 
     Raises:
         OSError: the disk is full or the directory cannot be written.
@@ -48,7 +66,12 @@ def write(directory: Path, certificate: Certificate, manifest: str, regions: str
     atomic.write_whole(directory / MANIFEST, manifest.encode())
     if regions is not None:
         atomic.write_whole(directory / REGIONS, regions.encode())
-    atomic.write_whole(directory / CERTIFICATE, certificate.to_json().encode())
+    text = certificate.to_json().encode()
+    if attempts is not None:
+        subject = Subject(name=CERTIFICATE, digest={"sha256": hashlib.sha256(text).hexdigest()})
+        record = AttemptRecord(subject=(subject,), predicate=dict(attempts))
+        atomic.write_whole(directory / ATTEMPTS, record.to_json().encode())
+    atomic.write_whole(directory / CERTIFICATE, text)
 
 
 def withdraw(directory: Path, number: int) -> None:
@@ -68,7 +91,7 @@ def withdraw(directory: Path, number: int) -> None:
 
 
 def read(directory: Path) -> Certificate | None:
-    """Return the certificate of a finished campaign, or None.
+    """Return the certificate of a finished campaign, or None; its sentences are those of its forms and values.
 
     Raises:
         EvidenceError: there is one, but it is damaged.
@@ -78,7 +101,7 @@ def read(directory: Path) -> Certificate | None:
     if not path.exists():
         return None
     try:
-        return Certificate.model_validate_json(files.contents(path, MAX_CERTIFICATE))
+        return in_own_words(Certificate.model_validate_json(files.contents(path, MAX_CERTIFICATE)))
     except ValueError as error:
         raise EvidenceError(
             f"{path}: not a certificate ({str(error).splitlines()[0]}); delete it, then resume the campaign"

@@ -5,8 +5,10 @@ A new assumption is a row of `SENTENCES` and a line in `assumptions.py`. The fie
 
 from collections.abc import Mapping
 
-from ...schemas.certificate import Assumption, SpotCheckedProblem, Status
+from ...schemas import __version__
+from ...schemas.certificate import Assumption, Certificate, SpotCheckedProblem, Status
 from ...schemas.problems import OBJECTIVES
+from ...schemas.rules import RULES
 
 SIGNIFICANT = 6
 """Digits of a value: fewer than two types of CPU agree in."""
@@ -421,6 +423,29 @@ def is_in_its_words(found: Assumption) -> bool:
         return found.detail == _sentence(found.form or found.id.partition("/")[0], found.status, found.values or {})
     except (LookupError, ValueError, TypeError):  # a form that is none, or values that are not its own
         return False
+
+
+def in_own_words(found: Certificate) -> Certificate:
+    """Return a certificate with the sentences of the forms and values in it, if it is one of this version.
+
+    Its file is anyone's, and may have been edited; `verify` says so.
+    """
+    predicate = found.predicate
+    if predicate.rules != RULES or predicate.software.get("perfbound") != __version__:
+        return found
+    edited = {each.id for each in predicate.assumptions if not is_in_its_words(each)}
+    if not edited:
+        return found
+    rebuilt = tuple(_rebuilt(each) if each.id in edited else each for each in predicate.assumptions)
+    return found.model_copy(update={"predicate": predicate.model_copy(update={"assumptions": rebuilt})})
+
+
+def _rebuilt(found: Assumption) -> Assumption:
+    try:
+        detail = _sentence(found.form or found.id.partition("/")[0], found.status, found.values or {})
+    except (LookupError, ValueError, TypeError):
+        detail = "(the certificate was edited: this assumption has no such form, status and values; verify it.)"
+    return found.model_copy(update={"detail": detail})
 
 
 def _sentence(form: str, status: Status, values: Mapping[str, float | int | str]) -> str:

@@ -20,6 +20,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey,
 from pydantic import ValidationError
 
 from ...schemas import atomic
+from ...schemas.attempt_record import MAX_RECORD
 from ...schemas.envelope import MAX_SIGNATURES, PAYLOAD_TYPE, DsseEnvelope, Signature
 from ...schemas.errors import EvidenceError, SignatureError
 from ..store.files import contents
@@ -81,7 +82,9 @@ def signed_payload(envelope: bytes, public_key: Ed25519PublicKey) -> bytes:
 
 
 def sign_certificate(directory: Path, key: Ed25519PrivateKey) -> Path:
-    """Sign the certificate in `directory` and return the path of the envelope; signatures by other keys stay.
+    """Sign the certificate in `directory`, and the record of its attempts; return the path of the envelope.
+
+    Signatures by other keys stay.
 
     Raises:
         EvidenceError: there is no certificate, it is damaged, or it does not match the manifest beside it.
@@ -89,8 +92,15 @@ def sign_certificate(directory: Path, key: Ed25519PrivateKey) -> Path:
         OSError: the disk is full or the directory cannot be written.
 
     """
-    payload, path = _certificate(directory), directory / files.ENVELOPE
-    envelope = sign(payload, key, _others(path, payload))
+    payload, record = _certificate(directory), directory / files.ATTEMPTS
+    if record.exists():
+        _signed(contents(record, MAX_RECORD), files.ATTEMPTS, directory / files.ATTEMPTS_ENVELOPE, key)
+    return _signed(payload, files.CERTIFICATE, directory / files.ENVELOPE, key)
+
+
+def _signed(payload: bytes, name: str, path: Path, key: Ed25519PrivateKey) -> Path:
+    """Write the envelope of a payload, whose file has this name."""
+    envelope = sign(payload, key, _others(path, payload, name))
     # Ed25519 is deterministic: signing again changes no byte, and so not the file.
     if not path.exists() or contents(path, MAX_ENVELOPE) != envelope:
         atomic.write_whole(path, envelope)
@@ -108,7 +118,7 @@ def _certificate(directory: Path) -> bytes:
     return contents(path, files.MAX_CERTIFICATE)
 
 
-def _others(path: Path, payload: bytes) -> tuple[Signature, ...]:
+def _others(path: Path, payload: bytes, name: str) -> tuple[Signature, ...]:
     """Return the signatures of the envelope that is at `path` already."""
     if not path.exists():
         return ()
@@ -119,7 +129,7 @@ def _others(path: Path, payload: bytes) -> tuple[Signature, ...]:
     except SignatureError as error:
         raise SignatureError(f"{path}: {error}; remove it and sign again") from None
     if not same:
-        raise SignatureError(f"{path}: is not of {files.CERTIFICATE}; remove it and sign again")
+        raise SignatureError(f"{path}: is not of {name}; remove it and sign again")
     if len(found.signatures) == MAX_SIGNATURES:
         raise SignatureError(f"{path}: has {MAX_SIGNATURES} signatures already; remove it and sign again")
     return found.signatures

@@ -24,6 +24,7 @@ OUTPUT = {
     "certificate.dsse.json": "signed",
     "regions.csv": "regions",
     "manifest.sha256": "manifest",
+    "attempts.json": "attempts",
     "trajectories": "evidence",
     "campaign.db": "database",
     "report.html": "report",

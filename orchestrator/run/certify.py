@@ -8,6 +8,7 @@ from ..certificate import files
 from ..certificate.issue import issue, manifest
 from ..certificate.regions import campaign_regions
 from ..store import read
+from ..store.attempt_record import table_digests
 from ..store.files import read_evidence
 from ..store.so_far import remove_so_far
 from . import assignments
@@ -28,7 +29,8 @@ def certify(directory: Path, ledger: Ledger, report_end: Callable[[], None] | No
     differing = read.contradicted(directory)
     regions = campaign_regions(ledger)
     certificate = issue(ledger, found, irreproducible=irreproducible, contradicted=differing, regions=regions)
-    files.write(directory, certificate, found.text, None if regions is None else regions.csv)
+    table = None if regions is None else regions.csv
+    files.write(directory, certificate, found.text, table, table_digests(directory))
     if report_end is not None:
         report_end()
     remove_so_far(directory)

@@ -32,6 +32,7 @@ CHECKS = {
     "audit": "the assumptions, their status and their numbers follow from the data",
     "software": "this machine has the numerical software of the campaign",
     "database": "the tables of facts agree: tests, rollouts, observations, bounds",
+    "attempts": "attempts, their outcomes and opinions are those that were recorded with the certificate",
     "resimulation": "rollouts that are simulated again give the same trajectory",
 }
 """Every check in the order of the table, and the statement that it proves."""

@@ -29,6 +29,7 @@ from .. import files
 from ..issue import manifest, question, subject
 from ..opinions import admitted_rollouts
 from . import compare
+from .attempts import check_attempts
 from .checks import CheckFailed, Checks, plural
 from .discards import discarded
 from .extensions import extended
@@ -92,8 +93,14 @@ def verify_certificate(
     """
     given, checks, certificate, reissued, header = VerificationInput.of(path), Checks(), None, None, None
     try:
-        certificate = parsed(signed_text(given, key, checks), checks)
+        text = signed_text(given, key, checks)
+        certificate = parsed(text, checks)
         reissued, header = _evidence(given.directory, certificate, checks, Again(again, system), report)
+        with checks.making("attempts"):
+            if checks.found["database"].status == "passed":  # else its tables are none of ours, or empty
+                check_attempts(given.directory, text, key, checks)
+            else:
+                checks.skipped("attempts", "the tables of the database are empty, or failed their own check")
     except CheckFailed as failed:
         checks.failed(failed.name, str(failed))
     except Stopped as stop:

@@ -28,6 +28,7 @@ from perfbound.orchestrator.certificate.verify.rerun import Rerun
 from perfbound.orchestrator.certificate.verify.run import Verification, verify_certificate
 from perfbound.orchestrator.fleet import simulate
 from perfbound.orchestrator.run import service
+from perfbound.orchestrator.store.attempt_record import table_digests
 from perfbound.orchestrator.store.files import relative_path
 from perfbound.orchestrator.store.read import observed, read_header, reading
 from perfbound.orchestrator.store.rows import DATABASE
@@ -64,7 +65,7 @@ def run(directory: Path, config: CampaignConfig) -> Path:
         stage.play()
         found = manifest((sha256, path) for _, sha256, path in observed(directory))
         certificate = issue(stage.ledger, found)
-        files.write(directory, certificate, found.text)
+        files.write(directory, certificate, found.text, attempts=table_digests(directory))
         stage.journal.close()
     return directory
 
@@ -157,7 +158,7 @@ def test_verifying_changes_nothing(campaign: Path) -> None:
     [
         (["bounds", "observations"], set()),
         (["bounds", "observations", "rollouts"], set()),
-        (["bounds", "observations", "rollouts", "tests"], {"database"}),
+        (["bounds", "observations", "rollouts", "tests"], {"database", "attempts"}),
     ],
 )
 @pytest.mark.parametrize("drop", [True, False])
@@ -237,7 +238,11 @@ def rewrite(directory: Path, edit: Callable[[Any], object]) -> None:
     path = directory / files.CERTIFICATE
     value = json.loads(path.read_text())
     edit(value["predicate"])
-    path.write_text(Certificate.model_validate_json(json.dumps(value)).to_json())
+    written(directory, Certificate.model_validate_json(json.dumps(value)))
+
+
+def written(directory: Path, certificate: Certificate) -> None:
+    files.write(directory, certificate, (directory / files.MANIFEST).read_text(), attempts=table_digests(directory))
 
 
 @pytest.mark.parametrize(
@@ -323,6 +328,7 @@ def test_a_signature(campaign: Path, tmp_path: Path) -> None:
     rewrite(campaign, lambda predicate: predicate["claims"][0].update(bound=0.5))
     assert failed(campaign, paths[0]) == ["signature"], "what was signed is another text"
     (campaign / files.CERTIFICATE).unlink()
+    (campaign / files.ATTEMPTS).unlink()
     assert check(campaign / files.ENVELOPE, paths[0]).good, "the envelope is the certificate"
     with pytest.raises(PerfboundError, match="--key"):
         check(campaign / files.ENVELOPE)
@@ -364,10 +370,9 @@ def relist(directory: Path, change: Callable[[dict[RolloutId, str]], object] = l
         predicate["evidence"] |= {"manifest_sha256": digest, "rollouts": len(lines)}
 
     rewrite(directory, edit)
-    path = directory / files.CERTIFICATE
-    value = json.loads(path.read_text())
+    value = json.loads((directory / files.CERTIFICATE).read_text())
     value["subject"][0]["digest"]["sha256"] = digest
-    path.write_text(Certificate.model_validate_json(json.dumps(value)).to_json())
+    written(directory, Certificate.model_validate_json(json.dumps(value)))
 
 
 def test_a_flipped_bit_under_digests_that_were_made_again(campaign: Path) -> None:
@@ -729,5 +734,5 @@ def test_an_interrupted_verification_says_what_it_has_checked(campaign: Path) ->
     assert stopped.value.state == (
         "nothing is verified: skipped signature; passed certificate, header, manifest, files; not reached requests, "
         "trajectories, proposals, observations, stop, evidence, chain, problems, probabilities, composition, "
-        "spot check, recheck, regions, claims, audit, software, database, resimulation"
+        "spot check, recheck, regions, claims, audit, software, database, attempts, resimulation"
     )
