@@ -5,7 +5,6 @@ import json
 import os
 import resource
 import sys
-import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -127,7 +126,6 @@ watched_system_option = click.option(
     "SIGTERM ends the worker at once.",
 )
 @click.option("--as", "identity", default=None, hidden=True, help="Whole name of a local worker.")
-@click.option("--lifeline", type=int, default=None, hidden=True, help="Exit at the end of this pipe.")
 def serve(
     *,
     endpoints: tuple[str, ...],
@@ -138,17 +136,13 @@ def serve(
     tls_key: str | None,
     insecure: bool,
     identity: str | None,
-    lifeline: int | None,
     **ends: Any,
 ) -> None:
     """Simulate rollouts for an orchestrator until stopped, or until one of the ends below."""
     options = EndOptions.of(**ends)
     stopping = Stopping(options.stop_within, end_programs)
-    if lifeline is None:
+    if identity is None:  # a local worker has a guardian
         stopping.watch()
-    else:
-        die_with_parent()
-        threading.Thread(target=_hold, args=(lifeline,), daemon=True).start()
     tls = None
     if tls_ca or tls_certificate or tls_key:
         if not (tls_ca and tls_certificate and tls_key):
@@ -178,14 +172,6 @@ def end_programs() -> None:
         running.end_all()
 
 
-def _hold(descriptor: int) -> None:
-    """Exit with the parent, also in the middle of a rollout: its end of the pipe closes when it dies."""
-    while os.read(descriptor, 1):
-        pass
-    end_programs()
-    os._exit(0)
-
-
 @group.command()
 def systems() -> None:
     """Print one JSON object: name to SystemSpec of every installed system, or to the reason why it cannot be used."""
@@ -207,8 +193,7 @@ def spec(reference: str) -> None:
 
 
 def _be_child() -> None:
-    """End with the parent, and write no memory to the disk: a crash is reported there."""
-    die_with_parent()
+    """Write no memory to the disk: a crash is reported by the parent."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
@@ -318,6 +303,7 @@ def measure(answers: int, begin: int, folder: str | None, keep: str | None) -> N
     from .opened import Opened  # noqa: PLC0415
 
     _be_child()
+    die_with_parent()
     adopt_orphans()
     os.set_inheritable(answers, False)
     os.set_inheritable(begin, False)

@@ -11,7 +11,12 @@ PR_SET_CHILD_SUBREAPER = 36
 
 def die_with_parent() -> None:
     """Have the kernel kill this process with its parent: no thread runs while a rollout has the lock of Python."""
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    signal_with_parent(signal.SIGKILL)
+
+
+def signal_with_parent(number: signal.Signals) -> None:
+    """Have the kernel send this process a signal when its parent dies."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, number)
 
 
 def adopt_orphans() -> None:

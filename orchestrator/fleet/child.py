@@ -91,7 +91,7 @@ def ask(
 
     """
     # -P: a module of the current directory must not replace an installed one.
-    line = [sys.executable, "-P", *STACK_WRITER, "-m", "perfbound.workers", command, *arguments]
+    line = [sys.executable, "-P", *STACK_WRITER, "-m", "perfbound.workers", "--guarded", command, *arguments]
     with (
         held_signals() as release,
         subprocess.Popen(

@@ -7,8 +7,8 @@ import subprocess
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
 
+from ...schemas.descendants import descendants
 from ...schemas.places import own_place
 from ...schemas.stop_signals import stop_signals
 
@@ -43,16 +43,6 @@ def held_signals() -> Iterator[Callable[[], None]]:
         yield release
     finally:
         release()
-
-
-def descendants(pid: int) -> list[int]:
-    """Return the processes that a process has started, and those that they have, while their parents live."""
-    family = [pid]
-    for each in family:  # grows while it is read
-        with suppress(OSError):
-            for task in os.listdir(f"/proc/{each}/task"):
-                family += map(int, Path(f"/proc/{each}/task/{task}/children").read_text().split())
-    return family[1:]
 
 
 def end_family(process: "subprocess.Popen[bytes] | subprocess.Popen[str]", *, stack: bool = False) -> None:

@@ -1,10 +1,12 @@
 """Local workers: child processes that end with the orchestrator, and are replaced when they die or hang."""
 
 import os
+import signal
 import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -13,6 +15,12 @@ from ...schemas.errors import PerfboundError
 
 GRACE = 1.0
 """Seconds between asking a worker to end and killing it."""
+FAMILY = 3.0
+"""Seconds in which what a worker has left ends, see `workers.guardian`."""
+KILL = signal.SIGUSR1
+"""Has the guardian of a worker end it at once, with everything below it."""
+PIPE = 65536
+"""Bytes of the numbers of processes that were left; a line for each worker that left some."""
 FAST_DEATHS = 5
 """Times in a row that workers may die within `FAST` seconds of their start: then none can run on this machine.
 
@@ -66,7 +74,7 @@ class Fleet:
         environment: Mapping[str, str] | None = None,
     ) -> None:
         ways = [part for endpoint in endpoints for part in ("--connect", endpoint)]
-        self._arguments = ["serve", *ways, "--run", run, *options]
+        self._arguments = [*ways, "--run", run, *options]
         self._environment = environment or {}
         self._size = size
         self._next = 0
@@ -76,6 +84,9 @@ class Fleet:
         """How the workers of these names have ended by themselves."""
         # Only this process holds the writing end, so that kill -9 of it ends the pipe of every worker.
         self._lifeline, self._our_end = os.pipe()
+        self._reports, self._left = os.pipe()
+        self.left = 0
+        """Processes that rollouts had started and that were there after their worker, and were ended; after `stop`."""
 
     def start(self) -> None:
         """Start all workers."""
@@ -107,7 +118,7 @@ class Fleet:
                 )
             self._spawn()
             what = "replaced" if child.killed else f"ended ({how})"
-            news.append(f"local worker {child.process.pid} {what}; started {self.pids[-1]}")
+            news.append(f"local worker {child.worker} {what}; started {self._children[-1].worker}")
         return news
 
     def kill(self, worker: str) -> bool:
@@ -118,7 +129,7 @@ class Fleet:
         found = [child for child in self._children if child.worker == worker]
         for child in found:
             child.killed = True
-            child.process.kill()
+            _end_now(child.process)
         return bool(found)
 
     def replaces(self, worker: str) -> bool:
@@ -127,23 +138,34 @@ class Fleet:
 
     @property
     def pids(self) -> list[int]:
-        """Process ids of the workers."""
+        """Process ids of the guardians of the workers."""
         return [child.process.pid for child in self._children]
 
     def stop(self) -> None:
-        """End all workers and wait for them."""
+        """End all workers and what their rollouts have left behind, and wait for them."""
         for child in self._children:
             child.process.terminate()
-        deadline = time.monotonic() + GRACE
+        self._wait(GRACE)
         for child in self._children:
-            try:
-                child.process.wait(max(0.0, deadline - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                child.process.kill()
-                child.process.wait()
+            _end_now(child.process)
+        self._wait(FAMILY)
+        for child in self._children:
+            child.process.kill()
+            child.process.wait()
         self._children.clear()
-        for descriptor in (self._our_end, self._lifeline):
+        for descriptor in (self._our_end, self._lifeline, self._left):
             os.close(descriptor)
+        os.set_blocking(self._reports, False)  # a process of the user may have a copy of the other end
+        with suppress(BlockingIOError):
+            self.left += sum(map(int, os.read(self._reports, PIPE).split()))
+        os.close(self._reports)
+
+    def _wait(self, seconds: float) -> None:
+        """Wait for the end of the workers, at most so long."""
+        deadline = time.monotonic() + seconds
+        for child in self._children:
+            with suppress(subprocess.TimeoutExpired):
+                child.process.wait(max(0.0, deadline - time.monotonic()))
 
     def _spawn(self) -> None:
         self._next += 1
@@ -155,13 +177,18 @@ class Fleet:
         return subprocess.Popen(
             [
                 # -P: a module of the current directory must not replace an installed one.
-                *(sys.executable, "-P", "-m", "perfbound.workers", *self._arguments),
-                *("--as", worker, "--lifeline", str(self._lifeline)),
+                *(sys.executable, "-P", "-m", "perfbound.workers", f"--guarded={self._lifeline},{self._left}"),
+                *("serve", *self._arguments, "--as", worker),
             ],
             env={**os.environ, **self._environment},
-            pass_fds=[self._lifeline],
+            pass_fds=[self._lifeline, self._left],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             # A session of its own: Ctrl-C in the terminal is for the orchestrator, which then ends its workers.
             start_new_session=True,
         )
+
+
+def _end_now(process: ChildProcess) -> None:
+    if process.poll() is None:  # else its number may be another's
+        os.kill(process.pid, KILL)

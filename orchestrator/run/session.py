@@ -338,6 +338,7 @@ def _served(
             own, more = options.own, [*link.worker_options(), *child.system_options(options.system)]
             ways = link.ways(transport.endpoint)
             fleet = own.fleet() if own else Fleet(options.workers, ways, run, more, _shared(options))
+            stack.callback(_report_left, fleet, console)
             stack.callback(fleet.stop)
             fleet.start()
         else:
@@ -384,6 +385,15 @@ def _served(
                 service.run()
             report_end = service.report_end
     return ledger, report_end
+
+
+def _report_left(fleet: Fleet, console: Console) -> None:
+    if fleet.left:
+        line = (
+            f"{fleet.left} processes that rollouts had started were still there after their worker, and were ended; "
+            "`perfbound check-system` says what leaves them"
+        )
+        console.print(Text(line), soft_wrap=True)
 
 
 def _collides(request: RolloutRequest, journal: Journal, options: RunOptions) -> bool:

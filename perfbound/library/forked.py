@@ -34,7 +34,7 @@ from ..schemas.messages import (
     encode_message,
 )
 from ..schemas.system import SystemSpec
-from ..workers.lifeline import die_with_parent
+from ..workers.guardian import become_guarded
 from ..workers.systems.base import SystemUnderTest
 from ..workers.systems.declared import WithSpec
 
@@ -122,7 +122,7 @@ class _ForkedFleet(Fleet):
     def _started(self, worker: str) -> ChildProcess:
         ours, theirs = multiprocessing.Pipe()
         child = multiprocessing.get_context("fork").Process(
-            target=_serve_pipe, args=(worker, theirs, self._system), daemon=True
+            target=_serve_pipe, args=(worker, theirs, self._system, self._left), daemon=True
         )
         with warnings.catch_warnings():
             # Since Python 3.12 of every fork beside threads: a notebook has some, and the child calls none of theirs.
@@ -189,10 +189,10 @@ class _PipeUplink:
             self._pipe.send_bytes(payload)
 
 
-def _serve_pipe(name: str, pipe: "Connection[Any, Any]", system: SystemUnderTest) -> None:
+def _serve_pipe(name: str, pipe: "Connection[Any, Any]", system: SystemUnderTest, left: int) -> None:
     """Simulate what comes through the pipe, until it ends; the whole life of a child."""
-    die_with_parent()
     os.setsid()  # Ctrl-C in the terminal is for the orchestrator, which then ends its workers
+    become_guarded(left=left)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     # What the function prints must not mix with the output of this process, or of its notebook.

@@ -73,8 +73,10 @@ class Process:
         return psutil.Process(self.pid).children(recursive=True)
 
     def children_with(self, word: str) -> list[psutil.Process]:
-        """Return the children with the argument `word`."""
-        return [each for each in self.children() if word in arguments(each)]
+        """Return the children with the argument `word`, without the guardians of others."""
+        found = [each for each in self.children() if word in arguments(each)]
+        parents = {each.ppid() for each in found}
+        return [each for each in found if each.pid not in parents]
 
     def end(self) -> None:
         """Kill the process and what it started."""

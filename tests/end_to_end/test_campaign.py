@@ -75,7 +75,7 @@ def test_every_rollout_has_its_file_and_two_workers_served_them(calm: Path) -> N
         str(path.relative_to(calm)) for path in (calm / "trajectories").rglob("*") if path.is_file()
     }
     workers = query(calm, "SELECT DISTINCT pid FROM attempts JOIN outcomes USING (rollout, attempt)")
-    assert len(workers) == 2
+    assert len(workers) == 2 * 2, "each with its guardian"
     assert gone(calm)
 
 
@@ -146,7 +146,7 @@ def test_a_killed_worker_shows_as_a_second_attempt(started: Processes, directory
     assert ended.code == 0, ended.err
     assert attempts(directory, rollout) == [(1, "worker lost for 3 s"), (2, "recorded")]
     assert finished(directory, calm)
-    assert f"local worker {worker.pid} ended (signal 9); started " in ended.err
+    assert " ended (signal 9); started local-" in ended.err
     assert gone(directory)
 
 

@@ -135,7 +135,7 @@ def test_an_interrupted_run_continues_in_the_same_session(started: Processes, tm
 def test_a_killed_worker_is_forked_again(started: Processes, tmp_path: Path, calm: bytes) -> None:
     process = script(started, TYPED, "campaign.run('run')")
     wait_for(lambda: recorded(tmp_path / "run") >= 5)
-    (worker,) = process.children()
+    _, worker = process.children()
     worker.kill()
     ended = process.wait()
     assert ended.code == 0, ended.err
@@ -148,7 +148,7 @@ def test_killed_itself_it_leaves_no_worker_and_another_session_resumes(
 ) -> None:
     process = script(started, TYPED, "campaign.run('run')")
     wait_for(lambda: recorded(tmp_path / "run") >= 5)
-    (worker,) = process.children()
+    _, worker = process.children()
     process.popen.kill()
     process.wait()
     wait_for(lambda: not psutil.pid_exists(worker.pid) or worker.status() == psutil.STATUS_ZOMBIE)

@@ -38,9 +38,9 @@ def ended(fleet: Fleet) -> str:
 
 def test_workers_that_are_replaced_on_purpose_are_no_sign_that_none_can_run(fleet: Fleet) -> None:
     for _ in range(2 * FAST_DEATHS):
-        (pid,) = fleet.pids
-        assert fleet.kill(fleet._children[0].worker)
-        assert ended(fleet) == f"local worker {pid} replaced; started {fleet.pids[0]}"
+        worker = fleet._children[0].worker
+        assert fleet.kill(worker)
+        assert ended(fleet) == f"local worker {worker} replaced; started {fleet._children[0].worker}"
     assert not fleet.kill("local-ffffffff"), "none of ours"
     assert fleet.ended == {}
 
