@@ -67,6 +67,7 @@ class Measured(Model):
         default=(), description="distributions that were imported and are no part of the system; after the last rollout"
     )
     files: tuple[str, ...] = Field(default=(), description="new entries of the working and of the temporary directory")
+    made: tuple[str, ...] = Field(default=(), description="those of them that the process of the rollout made")
 
 
 class ChildRun(Model):

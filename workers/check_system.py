@@ -70,10 +70,12 @@ def measure_trials(
         found = _measured(trial, None if keep is None else Path(keep, str(number)))
         after = _Surroundings.now(folder)
         requested = load_system(trial.request.system)
+        files = sorted(after.files - surroundings.files)[:MOST]
         changes = {
             "printed": after.printed - before.printed,
             "reseeded": tuple(name for name in STATES if after.random[name] != before.random[name]),
-            "files": tuple(sorted(after.files - surroundings.files)[:MOST]),
+            "files": tuple(files),
+            "made": opened.made(folder, files),
             "threads": tuple(each.name for each in threading.enumerate() if each not in started)[:MOST],
             "processes": _processes(),
             "tasks": _tasks(),

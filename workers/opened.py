@@ -11,7 +11,7 @@ import struct
 import sys
 import tempfile
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
@@ -32,6 +32,8 @@ MADE = os.O_CREAT | os.O_TRUNC
 """Flags that open a file to write it."""
 PLACES = {"open": 0, "sqlite3.connect": 0, "ctypes.dlopen": 0, "subprocess.Popen": 0}
 """Audit events with a file, and the number of the argument that names it."""
+MAKING = {"os.mkdir": 0, "os.rename": 1, "os.link": 1, "os.symlink": 1}
+"""Audit events that make an entry of a folder, and the number of the argument that names it."""
 OF_THE_MACHINE = ("/proc", "/sys", "/dev", "/etc", "/usr", "/lib", "/lib64", "/bin", "/sbin", "/run")
 OF_TOOLS = frozenset({"__pycache__", "node_modules", ".git", ".config", "matplotlib", "fontconfig"}) | PACKAGES
 """Folders of installed software, of its settings and its caches."""
@@ -47,6 +49,8 @@ class Opened:
         self._names: dict[str, str] = {}
         """Real path -> path by which it was opened."""
         self._ignored: set[str] = set()
+        self._made: set[str] = set()
+        """Paths that this process has made itself."""
         self._no_data: set[str] = set()
         """Real paths that every rollout may open again, and that were looked at once."""
         self._modules = frozenset(sys.modules)
@@ -95,6 +99,10 @@ class Opened:
         self._listens = True
         return tuple(sorted(map(self._name, found)))
 
+    def made(self, folder: str, names: Iterable[str]) -> tuple[str, ...]:
+        """Return which new entries of a folder this process has made; the others may be of any program."""
+        return tuple(name for name in names if os.path.realpath(os.path.join(folder, name)) in self._made)
+
     def packages(self, spec: SystemSpec) -> tuple[str, ...]:
         """Return the distributions, with versions, that were imported since and are no part of the system."""
         tops = {name.partition(".")[0] for name in sys.modules.keys() - self._modules}
@@ -108,9 +116,10 @@ class Opened:
         return os.path.relpath(path, self._folder) if near else path
 
     def _heard(self, event: str, arguments: tuple[object, ...]) -> None:
-        if event not in PLACES or not self._listens:
+        number = PLACES.get(event, MAKING.get(event))
+        if number is None or not self._listens or len(arguments) <= number:
             return
-        place = arguments[PLACES[event]] if arguments else None
+        place = arguments[number]
         if event == "sqlite3.connect" and isinstance(place, str):
             place = place.removeprefix("file:").partition("?")[0]
         if not isinstance(place, str | bytes | os.PathLike):
@@ -118,7 +127,10 @@ class Opened:
         with suppress(OSError, ValueError, TypeError):
             path = os.path.abspath(os.fsdecode(place))
             flags = arguments[2] if event == "open" and len(arguments) > 2 else 0
-            self._add(path, written=isinstance(flags, int) and bool(flags & MADE))
+            written = event in MAKING or (isinstance(flags, int) and bool(flags & MADE))
+            if written:
+                self._made.add(os.path.realpath(path))
+            self._add(path, written=written)
 
     def _add(self, path: str, *, written: bool) -> None:
         real = os.path.realpath(path)

@@ -376,8 +376,15 @@ def test_a_text_at_the_first_use_is_no_fault() -> None:
 def test_files_and_threads_that_stay() -> None:
     cache = findings(lambda process, place, trial: {"files": ("$TMPDIR/cache",) if place == 0 else ()})
     assert others(cache) == {}
-    here = findings(lambda process, place, trial: {"files": ("out.csv",) if place == 0 else ()})
+    made = {"files": ("out.csv",), "made": ("out.csv",)}
+    here = findings(lambda process, place, trial: made if place == 0 else {})
     assert here["leftovers"].detail == "new files: out.csv"
+    # What a library in C has made nobody can tell from what another program has.
+    anyone = findings(lambda process, place, trial: {"files": ("backup.csv",) if place == 0 else ()})
+    assert anyone["leftovers"].detail == "new files, of a rollout or of another program: backup.csv"
+    assert "check again while it does not" in anyone["leftovers"].remedy
+    both = findings(lambda process, place, trial: {**made, "files": ("out.csv", "backup.csv")} if place == 0 else {})
+    assert both["leftovers"].detail == "new files: backup.csv, out.csv; of a rollout or of another program: backup.csv"
     files = findings(lambda process, place, trial: {"files": (f"$TMPDIR/{place % 5}",)})
     assert files["leftovers"].detail == "new files: $TMPDIR/0, $TMPDIR/1, $TMPDIR/2 and 2 more"
     pool = findings(lambda process, place, trial: {"threads": ("pool",), "tasks": 5})
