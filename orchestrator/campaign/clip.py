@@ -20,6 +20,7 @@ from ...schemas.campaign import CampaignConfig
 from ...schemas.claims import ClaimRequest
 from ...schemas.problem_models import Problem
 from ...schemas.problems import OBJECTIVES, Reading
+from ...schemas.system import AfterEnd
 from ..mathematics.bounds.risk import RiskReading
 from ..mathematics.bounds.rounding import round_down, round_up
 from ..mathematics.stl.parser import parse_formula
@@ -31,9 +32,10 @@ SAME = 2e-9
 
 
 @cache
-def reach_of(formula: str | None) -> Range:
-    """Return the range of robustness that a formula can reach."""
-    return ANY if formula is None else reach(parse_formula(formula))
+def reach_of(formula: str | None, after_end: AfterEnd | None = None) -> Range:
+    """Return the range of robustness that a rollout can reach; one that ends early and fails has a share above -1."""
+    low, high = ANY if formula is None else reach(parse_formula(formula))
+    return (min(low, -1.0), high) if after_end == "fail" else (low, high)
 
 
 def hiding(

@@ -52,7 +52,7 @@ def _most_starts(
     # What the clip alone proves is no bound; by earlier rules it was one of values without noise.
     if bound is None or (ledger.header.rules > 3 and clip is not None and bound <= clip[0]):
         return None
-    within = reach_of(ledger.config.formula)
+    within = reach_of(ledger.config.formula, ledger.header.spec.after_end)
     return document.MostStarts(
         share=SHARE,
         quantity="expected_robustness" if noisy else "robustness",

@@ -281,7 +281,7 @@ def _most_suspicious(header: Header, pairs: Iterable[tuple[str, float]], require
         return ()
     number, below = len(values[worst]), sum(value < required for value in values[worst])
     mean = margin_words(math.fsum(values[worst]) / number, robustness_unit(header.config, header.spec))
-    clip, within = header.config.clip, reach_of(header.config.formula)
+    clip, within = header.config.clip, reach_of(header.config.formula, header.spec.after_end)
     # It is a number and no bound: either end of the clip may hide what it would be.
     clips = (hiding(clip, within, "mean", sense) for sense in (">=", "<="))
     clipped = next((f", {clip_words(each)}," for each in clips if each is not None), "")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from perfbound.orchestrator.campaign.clip import hiding
+from perfbound.orchestrator.campaign.clip import hiding, reach_of
 from perfbound.orchestrator.certificate.bound_text import clip_words
 from perfbound.orchestrator.certificate.text import claim_words, margin_at_most_starts
 from perfbound.orchestrator.certificate.verdict import guarantee
@@ -101,3 +101,12 @@ def test_a_clip_of_all_that_a_formula_can_reach_is_not_named() -> None:
             assert hiding((-1.0, 0.75), (-1.0, 0.75), reading, sense) is None
     assert hiding((-1.0, 1.0), ANY, "risk", ">=", risk_weight=0.0) == (-1.0, 1.0)
     assert hiding((-1.0, 1.0), (-1.0, math.inf), "risk", ">=", risk_weight=0.0) is None
+
+
+def test_a_rollout_that_ends_early_and_fails_reaches_below_what_its_formula_can() -> None:
+    formula = "always (abs(x) >= -0.05)"
+    assert reach_of(formula)[0] >= -0.05
+    assert reach_of(formula, "hold") == reach_of(formula)
+    assert reach_of(formula, "fail")[0] == -1.0
+    assert hiding((-0.5, 2.0), reach_of(formula), "mean", ">=") is None
+    assert hiding((-0.5, 2.0), reach_of(formula, "fail"), "mean", ">=") == (-0.5, 2.0)
