@@ -5,6 +5,7 @@ import io
 import itertools
 import json
 import math
+import re
 import shlex
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
@@ -18,6 +19,7 @@ from .campaign import CampaignConfig
 from .campaign_defaults import OF_PROBLEM, completed, is_description, leaves_out_problems, with_stand_ins
 from .campaign_faults import LISTS, faults, list_fault
 from .errors import CampaignError
+from .number_text import number_in
 from .outside import read_outside
 
 Beside = Callable[[str], bytes]
@@ -150,8 +152,8 @@ def _csv_rows(name: str, key: str, most: int, beside: Beside | None) -> tuple[li
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8"
         reason = f"not CSV: {error}" if isinstance(error, csv.Error) else reason
         raise CampaignError(f"{where}: {reason}; name a CSV file beside the campaign file") from None
-    # A header has no number at all: a first start with a misspelt one is an error like any other.
-    header = [cell.strip() for cell in rows.pop(0)] if rows and not any(map(_is_finite, rows[0])) else []
+    # A header has names alone: a first start with a misspelt number is an error like any other.
+    header = [cell.strip() for cell in rows.pop(0)] if rows and all(map(_is_title, rows[0])) else []
     for number, row in enumerate(rows):
         if not all(map(_is_finite, row)):
             raise CampaignError(
@@ -160,14 +162,18 @@ def _csv_rows(name: str, key: str, most: int, beside: Beside | None) -> tuple[li
     if not 0 < len(rows) <= most:
         count = f"more than {most} starts" if rows else "no start"
         raise CampaignError(f"{where}: {count}; allowed are 1 to {most} rows of numbers")
-    return header, [[float(cell) for cell in row] for row in rows]
+    return header, [[number_in(cell) for cell in row] for row in rows]
 
 
 def _is_finite(cell: str) -> bool:
     try:
-        return math.isfinite(float(cell))
+        return math.isfinite(number_in(cell))
     except ValueError:
         return False
+
+
+def _is_title(cell: str) -> bool:
+    return not _is_finite(cell) and not re.match(r"[-+.]?[0-9]", cell.strip())
 
 
 def _leaves(value: Any, key: str) -> Iterator[tuple[str, Any]]:

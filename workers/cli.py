@@ -20,6 +20,7 @@ from ..schemas.errors import LinkError, PerfboundError
 from ..schemas.host import host_fault
 from ..schemas.link import Tls, asks_for_secret
 from ..schemas.secret import VARIABLE, WEB_VARIABLE, shared_secret
+from .answers import answer
 from .ends import IDLE_EXIT, STOP_WITHIN, EndOptions
 from .failing import fail
 from .lifeline import adopt_orphans, die_with_parent
@@ -180,7 +181,7 @@ def systems() -> None:
     with contextlib.redirect_stdout(sys.stderr):  # the output of a plug-in must not mix with the data
         found = usable()
     plain = {name: each if isinstance(each, str) else each.model_dump(mode="json") for name, each in found.items()}
-    click.echo(canonical_json(plain))
+    answer(canonical_json(plain))
 
 
 @group.command()
@@ -189,7 +190,7 @@ def spec(reference: str) -> None:
     """Print the SystemSpec of a system in a file as JSON."""
     from .systems import load_system  # noqa: PLC0415
 
-    click.echo(canonical_json(load_system(_add_file(reference)).spec.model_dump(mode="json")))
+    answer(canonical_json(load_system(_add_file(reference)).spec.model_dump(mode="json")))
 
 
 def _be_child() -> None:
@@ -285,7 +286,7 @@ def print_visual(path: Path) -> None:
         fail(f"{path}: {error.strerror}")
     except PerfboundError as error:
         fail(f"{path}: {error}")
-    click.echo(canonical_json(found))
+    answer(canonical_json(found))
 
 
 @group.command(hidden=True)

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -80,7 +81,7 @@ def ask(
     steps: Callable[[], int] = lambda: 0,
     on_line: Callable[[str], None] | None = None,
 ) -> str:
-    """Return the output of a command of a `workers` child; `on_line` gets what the system printed, line by line.
+    """Return the answer of a command of a `workers` child; `on_line` gets what the system printed, line by line.
 
     After `limit` seconds, and when this process is stopped, the child and everything that it started is ended. A child
     that does several things may take `limit` seconds for each; `steps` counts those that are done.
@@ -91,21 +92,25 @@ def ask(
 
     """
     # -P: a module of the current directory must not replace an installed one.
-    line = [sys.executable, "-P", *STACK_WRITER, "-m", "perfbound.workers", "--guarded", command, *arguments]
+    line = [sys.executable, "-P", *STACK_WRITER, "-m", "perfbound.workers", "--guarded"]
     with (
+        tempfile.TemporaryFile() as answer,
         held_signals() as release,
         subprocess.Popen(
-            line,
+            [*line, f"--answer={answer.fileno()}", command, *arguments],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            pass_fds=[answer.fileno()],
             text=True,
             errors="replace",
         ) as child,
     ):
         try:
             release()
-            output, errors = _outputs(child, limit, steps)
+            errors = _printed(child, limit, steps)
+            answer.seek(0)
+            output = answer.read().decode()
         except subprocess.TimeoutExpired:
             end_family(child, stack=True)
             raise HangError(command, limit, place_of_stack(_rest_of_errors(child))) from None
@@ -127,12 +132,12 @@ def ask(
     return output
 
 
-def _outputs(child: "subprocess.Popen[str]", limit: float, steps: Callable[[], int]) -> tuple[str, str]:
-    """Return stdout and stderr of a child that ends; raise TimeoutExpired after `limit` seconds without a step."""
+def _printed(child: "subprocess.Popen[str]", limit: float, steps: Callable[[], int]) -> str:
+    """Return what a child that ends has printed; raise TimeoutExpired after `limit` seconds without a step."""
     done, since = steps(), time.monotonic()
     while True:
         try:
-            return child.communicate(timeout=min(limit, POLL))
+            return child.communicate(timeout=min(limit, POLL))[0]
         except subprocess.TimeoutExpired:
             if (now := steps()) != done:
                 done, since = now, time.monotonic()
@@ -141,9 +146,9 @@ def _outputs(child: "subprocess.Popen[str]", limit: float, steps: Callable[[], i
 
 
 def _rest_of_errors(child: "subprocess.Popen[str]") -> str:
-    """Return the stderr of a child that was ended; a process that has left its family may keep the pipe open."""
+    """Return what a child that was ended printed; a process that has left its family may keep the pipe open."""
     try:
-        return child.communicate(timeout=GRACE)[1]
+        return child.communicate(timeout=GRACE)[0]
     except subprocess.TimeoutExpired:
         return ""
 

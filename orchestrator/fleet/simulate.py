@@ -10,6 +10,7 @@ from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import PerfboundError, Stopped
 from ...schemas.ids import RolloutId
 from ...schemas.meant import meant
+from ...schemas.number_text import number_in
 from ...schemas.parameters import signal_shapes
 from ...schemas.rollout import RequestTemplate, RolloutRequest
 from ...schemas.system import OptionValue, SystemSpec, Variant
@@ -149,7 +150,7 @@ def describe(reference: str | None = None) -> Iterator[str]:
 def _numbers(spec: SystemSpec, text: str) -> tuple[float, ...]:
     names = [parameter.name for parameter in spec.parameters]
     try:
-        numbers = tuple(float(part) for part in text.split(","))
+        numbers = tuple(number_in(part) for part in text.split(","))
     except ValueError:
         numbers = ()
     if len(numbers) != len(names):
@@ -186,7 +187,7 @@ def chosen_options(spec: SystemSpec, texts: Sequence[str]) -> dict[str, OptionVa
 
 
 def _finite_number(text: str) -> float:
-    number = float(text)
+    number = number_in(text)
     if not math.isfinite(number):
         raise ValueError(text)
     return number

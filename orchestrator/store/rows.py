@@ -27,6 +27,8 @@ from ...schemas.system import SystemSpec
 from ...schemas.values import Bound, Observation, Proposal
 
 DATABASE = "campaign.db"
+BESIDE = ("trajectories", "certificate.json", "manifest.sha256")
+"""What a run directory has that no other folder has."""
 SCHEMA_VERSION = 9
 """Of a new database. A database keeps its version: its rows are written without the columns that it lacks."""
 READ_VERSIONS = tuple(range(1, SCHEMA_VERSION + 1))
@@ -54,15 +56,19 @@ def existing(directory: Path) -> Path:
     """Return the database of a campaign.
 
     Raises:
-        JournalError: there is none in `directory`.
+        JournalError: there is none in `directory`, or it is empty.
 
     """
     path = directory / DATABASE
     if not path.is_file():
+        if any((directory / name).exists() for name in BESIDE):
+            raise JournalError(f"{path}: missing, beside the files of its campaign; restore it from a copy")
         raise JournalError(
             f"{directory}: no campaign here (no {DATABASE}); start one with `perfbound run CAMPAIGN.toml`, or wait "
             "until a submitted job has begun it"
         )
+    if not path.stat().st_size:
+        raise JournalError(f"{path}: it was emptied; restore it from a copy")
     return path
 
 

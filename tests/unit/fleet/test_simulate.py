@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from perfbound.orchestrator.fleet.child import HangError, ask, system_spec
+from perfbound.orchestrator.fleet.child import HangError, ask, installed_systems, system_spec
 from perfbound.orchestrator.fleet.family import place_of_stack
 from perfbound.orchestrator.fleet.measure import measure_in_children
 from perfbound.orchestrator.fleet.simulate import LIMIT, WantedRollout, simulate_to
@@ -214,3 +214,17 @@ def test_another_build_is_named_by_what_differs(folder: Path) -> None:
         PerfboundError, match=r"waits is another build than that of the campaign: ./waits.sh is another"
     ):
         simulate_to(folder / "out.mcap", request, spec, "waits.toml")
+
+
+def test_text_on_the_standard_output_is_no_answer(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a library in C while it loads, and of Python's own start files: it was a traceback of the JSON reader."""
+    own = (folder / "own.py").read_text()
+    (folder / "loud.py").write_text(f'import os\nos.write(1, b"C library 1.2\\n")\nprint("loading")\n{own}')
+    (folder / "start").mkdir()
+    (folder / "start" / "sitecustomize.py").write_text("print('{\"hello\": 1}')\n")
+    monkeypatch.setenv("PYTHONPATH", str(folder / "start"))
+    assert system_spec("loud.py:ends", "--system").name == "ends"
+    assert "test-function" in installed_systems()
+    lines: list[str] = []
+    ask("spec", "loud.py:ends", on_line=lines.append)
+    assert sorted(lines) == ["C library 1.2", "loading", '{"hello": 1}']

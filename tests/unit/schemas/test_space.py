@@ -306,6 +306,9 @@ def test_a_table_is_read_as_scenarios_are_and_keeps_repeated_rows() -> None:
             b"1,2O\n3,4\n",
             "space.table: a.csv: row 0 is '1,2O'; allowed are numbers, one start a row",
         ),
+        # Python's `float` takes it, and a first row without any number passed for a header.
+        ('table = "a.csv"', b"1_0,2_0\n3,4\n", "space.table: a.csv: row 0 is '1_0,2_0'; allowed are numbers"),
+        ('table = "a.csv"', b"1,2\n3,4_0\n", "space.table: a.csv: row 1 is '3,4_0'; allowed are numbers"),
         ('table = "a.csv"', b"1,2\n3,\n", "space.table: a.csv: row 1 is '3,'; allowed are numbers, one start a row"),
         ('table = "a.csv"', b"1,2\n3,nan\n", "space.table: a.csv: row 1 is '3,nan'; allowed are numbers"),
         (

@@ -393,6 +393,15 @@ def test_a_directory_without_campaign_is_named(tmp_path: Path) -> None:
         Journal.open(tmp_path)
 
 
+def test_a_database_that_is_gone_or_emptied_is_to_be_restored(tmp_path: Path) -> None:
+    (tmp_path / "trajectories").mkdir()
+    with pytest.raises(JournalError, match=r"campaign\.db: missing, beside the files of its campaign; restore it from"):
+        Journal.open(tmp_path)
+    (tmp_path / DATABASE).touch()
+    with pytest.raises(JournalError, match=r"campaign\.db: it was emptied; restore it from a copy"):
+        Journal.open(tmp_path)
+
+
 # The hash chain
 
 
