@@ -42,7 +42,7 @@ TEN = {
         "columns", "returned altitude, its columns are height", "an array for each of", others=NO_TRAJECTORY
     ),
     "corner": Fault("finite", "row 0; fix the arithmetic there", "narrow the ranges of `parameters`"),
-    "short": Fault("times", "is at t = 8 s, and the horizon is 10 s", "hold the last state"),
+    "short": Fault("times", "is at t = 8 s, and the horizon is 10 s", "declare after_end"),
     "grid": Fault("times", "the first row is at t = 0.1 s, and 0 s is requested", "the first sample be at 0"),
     "global_rng": Fault("random state", "gives another rollout", DRAW, others=("repeatable", *COMPARING)),
     "prints": Fault("output", "rollouts print, 7 bytes each: 'step 0'", "remove the print", "warning"),
