@@ -151,9 +151,19 @@ def uncovered(times: Floats, horizon: float) -> str | None:
         return (
             f"the last row, {row}, is at t = {there} s, and the horizon is {end} s, before which it may be by "
             f"{_allowed(times, horizon):.3g} s: simulate to the horizon, or declare what an early end means: after_end "
-            '= "hold" (the last state stays) or "fail" (it violates the specification)'
+            '= "hold" (the last state stays) or "fail" (it violates the specification)' + _other_step(times, horizon)
         )
     return None
+
+
+def _other_step(times: Floats, horizon: float) -> str:
+    """Return the step with which as many samples in equal steps would cover the horizon, where that is a number."""
+    steps = np.diff(times)
+    if not len(steps) or float(np.ptp(steps)) > SHARE * float(steps.min()):
+        return ""
+    meant, samples = float(f"{horizon / len(steps):.3g}"), len(times)
+    close = abs(meant * len(steps) - horizon) <= STRICT[0] * horizon
+    return f"; {samples} samples cover it in steps of {meant:g} s, not {float(steps[0]):.3g} s" if close else ""
 
 
 def stamps(times: Floats) -> Stamps:

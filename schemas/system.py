@@ -94,6 +94,12 @@ class Parameter(Model, metaclass=Written):
         description="an input over time; the campaign chooses its interpolation and its knots",
     )
 
+    @model_validator(mode="after")
+    def _ordered(self) -> "Parameter":
+        if self.low > self.high:
+            raise ValueError(f"its lower end {self.low:g} is above its upper end {self.high:g}; exchange them")
+        return self
+
     if TYPE_CHECKING:  # else pydantic would call it for each parameter of a message
 
         def __init__(self, *limits: float, **fields: Any) -> None: ...

@@ -279,6 +279,7 @@ def test_a_parameter_without_two_numbers_is_one_line(limits: Any) -> None:
         ),
         (pb.Parameter, (), {"low": 0}, r"Parameter\(low=0\): Parameter needs high; give two numbers"),
         (pb.Parameter, (0, 1), {"low": 0}, "not two limits"),
+        (pb.Parameter, (5, 1), {}, "its lower end 5 is above its upper end 1; exchange them"),
         (pb.Parameter, (0, 1), {"units": "m"}, "Parameter has no units; it has name, unit, low, high, signal"),
         (pb.Column, ("x", "m"), {}, "give the fields of Column by their names"),
         (pb.Column, (), {"name": "X", "unit": "m"}, "name: 'X': a name consists of a-z, 0-9 and _, the first is a"),

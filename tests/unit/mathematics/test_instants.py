@@ -145,6 +145,15 @@ def test_ends_that_are_the_same_instant_cover_it(last: float) -> None:
     assert uncovered(np.append(np.arange(20, dtype=np.float64) * 0.1, last), 2.0) is None
 
 
+def test_a_step_that_is_another_one_is_named_with_the_number_of_samples() -> None:
+    found = uncovered(np.arange(11, dtype=np.float64) * 0.01, 1.0)
+    assert found is not None
+    assert found.endswith("; 11 samples cover it in steps of 0.1 s, not 0.01 s")
+    other = uncovered(np.arange(8, dtype=np.float64) * 0.01, 1.0)
+    assert other is not None
+    assert "samples cover it" not in other, "no step that somebody means"
+
+
 def test_numbers_that_differ_in_the_eighth_digit_are_printed_with_it() -> None:
     found = uncovered(np.append(np.arange(2000, dtype=np.float64) * 1e-7, 2.0001e-4), 2e-4)
     assert found is not None
