@@ -60,12 +60,11 @@ def _guard(child: int, left: int | None, lifeline: int | None, above: int) -> No
 
 
 def _wait(child: int, signals: int, lifeline: int | None) -> None:
-    """Hand signals on until the worker has ended."""
+    """Hand signals on, and reap what was adopted, until the worker has ended."""
     with selectors.DefaultSelector() as selector:
         for descriptor in (signals, *([] if lifeline is None else [lifeline])):
             selector.register(descriptor, selectors.EVENT_READ)
-        # Not reaped: its number stays its own while it may get a signal.
-        while os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
+        while not _has_ended(child):
             for key, _ in selector.select():
                 if key.fd == signals:
                     for number in os.read(signals, 100):
@@ -74,6 +73,15 @@ def _wait(child: int, signals: int, lifeline: int | None) -> None:
                 elif not os.read(key.fd, 1):
                     os.kill(child, signal.SIGKILL)
                     selector.unregister(key.fd)
+
+
+def _has_ended(child: int) -> bool:
+    """Whether the worker has ended; it is not reaped: its number stays its own while it may get a signal."""
+    while (found := os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)) is not None:
+        if found.si_pid == child:
+            return True
+        os.waitpid(found.si_pid, 0)
+    return False
 
 
 def _end_below() -> int:
