@@ -333,5 +333,5 @@ def test_a_process_that_a_message_claims_is_not_ended(tmp_path: Path) -> None:
         server._act(events.GiveUp("stranger-1"))
         assert own.poll() is None
         server._act(events.GiveUp("local-1-0123abcd"))
-        assert own.wait() == -9
+        assert own.wait() == -processes.KILL, "its guardian would end it"
     fleet.stop()
