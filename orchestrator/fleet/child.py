@@ -1,12 +1,15 @@
 """Requests to a child process of `workers`, so that the orchestrator imports no simulator: its systems, one rollout."""
 
+import fcntl
 import json
+import os
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import IO
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.campaign_file import load_description
@@ -94,7 +97,7 @@ def ask(
     # -P: a module of the current directory must not replace an installed one.
     line = [sys.executable, "-P", *STACK_WRITER, "-m", "perfbound.workers", "--guarded"]
     with (
-        tempfile.TemporaryFile() as answer,
+        _above_stderr() as answer,
         held_signals() as release,
         subprocess.Popen(
             [*line, f"--answer={answer.fileno()}", command, *arguments],
@@ -130,6 +133,15 @@ def ask(
     if child.returncode:
         raise PerfboundError(*reasons)
     return output
+
+
+def _above_stderr() -> IO[bytes]:
+    """Return a temporary file whose descriptor is none of the three that a child has of its own.
+
+    Where this process was started without a standard output, the next file that it opens has that number.
+    """
+    with tempfile.TemporaryFile() as found:
+        return os.fdopen(fcntl.fcntl(found.fileno(), fcntl.F_DUPFD_CLOEXEC, 3), "r+b")
 
 
 def _printed(child: "subprocess.Popen[str]", limit: float, steps: Callable[[], int]) -> str:

@@ -12,7 +12,7 @@ from perfbound.schemas.atomic import TEMPORARY
 from tests.end_to_end.processes import query
 from tests.faults.scene import Scene
 
-EXPECTED = {"campaign.db", "campaign.db-wal", "campaign.db-shm", "certificate.json", "manifest.sha256"}
+EXPECTED = {"campaign.db", "campaign.db-wal", "campaign.db-shm", "certificate.json", "manifest.sha256", "attempts.json"}
 EXPECTED |= {"report.html", "counterexamples.csv", lock.LOCK_FILE}
 
 
