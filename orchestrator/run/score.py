@@ -73,7 +73,7 @@ def score_lines(directory: Path, specification: str, found: Sequence[ScoredRollo
         below = sum(each.robustness < 0 for each in of_variant)
         yield f"{variant}: {below:,} of {len(of_variant):,} rollouts violate it"
         if close := sum(each.by_tolerance for each in of_variant):
-            yield f"  in {close:,} of them that may depend on a time stamp within a hundredth of a step of a border"
+            yield f"  the sign of {close:,} may depend on a time stamp within a hundredth of a step of a border"
         yield from bars([each.robustness for each in of_variant])
         for each in of_variant[:WORST]:
             start = zip(names, starts[RolloutId.parse(each.rollout)[:2]], strict=True)
