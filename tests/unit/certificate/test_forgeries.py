@@ -9,8 +9,7 @@ import hashlib
 import json
 import shutil
 import sqlite3
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,6 +23,7 @@ from perfbound.orchestrator.store.attempt_record import table_digests
 from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas.certificate import Certificate
 from perfbound.schemas.trajectory import Trajectory, encode, read_mcap
+from tests.tampering import editing
 
 TESTS = 6
 OPINION = "kind, rollout, attempt, worker, sha256, at"
@@ -69,17 +69,6 @@ def signed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def run(signed: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(signed / "run", tmp_path / "run"))
-
-
-@contextmanager
-def editing(directory: Path) -> Iterator[sqlite3.Connection]:
-    """Edit a database with all rights: without triggers and foreign keys."""
-    database = sqlite3.connect(directory / DATABASE)
-    for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'").fetchall():
-        database.execute(f"DROP TRIGGER {name}")
-    with database:
-        yield database
-    database.close()
 
 
 def sql(statement: str) -> Callable[[Path], None]:

@@ -7,9 +7,7 @@ import json
 import os
 import random
 import shutil
-import sqlite3
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -43,6 +41,7 @@ from perfbound.schemas.system import SystemSpec
 from perfbound.schemas.trajectory import Trajectory, encode, read_mcap
 from tests.campaigns import table
 from tests.fakes.puppets import Stage
+from tests.tampering import editing
 
 TESTS = 8
 RULES_1 = Path(__file__).parents[2] / "fixtures" / "rules-1"
@@ -172,17 +171,6 @@ def test_the_evidence_alone_is_enough(campaign: Path, gone: list[str], more: set
 
 
 # The database
-
-
-@contextmanager
-def editing(directory: Path) -> Iterator[sqlite3.Connection]:
-    """Edit a database with all rights: without triggers and foreign keys."""
-    database = sqlite3.connect(directory / DATABASE)
-    for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'").fetchall():
-        database.execute(f"DROP TRIGGER {name}")
-    with database:
-        yield database
-    database.close()
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,8 @@
 """Ask and tell: what is admitted, what is refused, and what is left after a restart."""
 
-import sqlite3
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +11,10 @@ import pytest
 
 import perfbound as pb
 from perfbound.library.study import Study, TrialRequest
-from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas.errors import CampaignError, DefinitionError, PerfboundError
 from perfbound.schemas.trajectory import encode
 from tests.patience import PATIENCE
+from tests.tampering import editing
 
 KEYS: dict[str, Any] = {
     "space": {"x": (0, 1)},
@@ -325,6 +323,14 @@ def test_an_input_over_time_of_a_rig_is_a_function_of_it(tmp_path: Path) -> None
         assert study.run.verify().checks.good
 
 
+def fault_after(run: Path, statement: str) -> str:
+    """Return what `verify` finds after an edit of the database."""
+    with editing(run) as database:
+        database.execute(statement)
+    (failed,) = [each for each in pb.open(run).verify().checks.lines() if each.status == "failed"]
+    return failed.detail
+
+
 def test_what_the_tolerance_around_time_stamps_could_decide_is_counted(tmp_path: Path) -> None:
     keys = KEYS | {"specification": "always[0,0.6] (y <= 1.5)"}
     with pb.Campaign(rig(step=None), **keys).ask_tell(tmp_path / "run") as study:
@@ -336,11 +342,9 @@ def test_what_the_tolerance_around_time_stamps_could_decide_is_counted(tmp_path:
         assert status == "assumed"
         assert detail.startswith("in 2 of 3 rollouts, those of the closing checks included (the first is robustness.1.")
         assert study.run.verify().checks.good
-    with closing(sqlite3.connect(tmp_path / "run" / DATABASE)) as database, database:
-        database.execute("DROP TRIGGER rollouts_no_update")
-        database.execute("UPDATE rollouts SET by_tolerance = 0")
-    (failed,) = [each for each in pb.open(tmp_path / "run").verify().checks.lines() if each.status == "failed"]
-    assert "robustness.1.nominal.0: by_tolerance" in failed.detail
+    assert "robustness.1.nominal.0: by_tolerance" in fault_after(
+        tmp_path / "run", "UPDATE rollouts SET by_tolerance = 0"
+    )
 
 
 def test_stamps_that_are_exact_are_not_counted(study: Study) -> None:
@@ -361,11 +365,7 @@ def test_an_early_end_is_what_the_rig_declares(tmp_path: Path, after_end: str) -
         np.testing.assert_equal(found["ended"], [np.nan, 0.4, np.nan])
         assert list(found["robustness"]) == [1.5, 1.5 if after_end == "hold" else pytest.approx(-0.6), 1.5]
         assert study.run.verify().checks.good
-    with closing(sqlite3.connect(tmp_path / "run" / DATABASE)) as database, database:
-        database.execute("DROP TRIGGER rollouts_no_update")
-        database.execute("UPDATE rollouts SET ended = NULL")
-    (failed,) = [each for each in pb.open(tmp_path / "run").verify().checks.lines() if each.status == "failed"]
-    assert "robustness.1.nominal.0: ended" in failed.detail
+    assert "robustness.1.nominal.0: ended" in fault_after(tmp_path / "run", "UPDATE rollouts SET ended = NULL")
 
 
 def test_an_early_end_is_refused_with_the_remedy_where_nothing_is_declared(study: Study) -> None:
