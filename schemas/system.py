@@ -31,7 +31,7 @@ AfterEnd = Literal["hold", "fail"]
 
 
 class Written(type(Model)):  # type: ignore[misc]
-    """The class of what users write in Python: its call raises one line of ours; a message keeps pydantic's error."""
+    """The class of what users write in Python: its call raises one plain line; a message keeps pydantic's error."""
 
     def __call__(cls, *limits: float, **fields: Any) -> Any:
         """Make one by names; the two limits of a parameter may stand first, without theirs.

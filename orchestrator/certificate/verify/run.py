@@ -97,7 +97,7 @@ def verify_certificate(
         certificate = parsed(text, checks)
         reissued, header = _evidence(given.directory, certificate, checks, Again(again, system), report)
         with checks.making("attempts"):
-            if checks.found["database"].status == "passed":  # else its tables are none of ours, or empty
+            if checks.found["database"].status == "passed":  # else its tables are another program's, or empty
                 check_attempts(given.directory, text, key, checks)
             else:
                 checks.skipped("attempts", "the tables of the database are empty, or failed their own check")

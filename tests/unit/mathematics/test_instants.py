@@ -151,7 +151,7 @@ def test_a_step_that_is_another_one_is_named_with_the_number_of_samples() -> Non
     assert found.endswith("; 11 samples cover it in steps of 0.1 s, not 0.01 s")
     other = uncovered(np.arange(8, dtype=np.float64) * 0.01, 1.0)
     assert other is not None
-    assert "samples cover it" not in other, "no step that somebody means"
+    assert "samples cover it" not in other, "no step that anyone means"
 
 
 def test_numbers_that_differ_in_the_eighth_digit_are_printed_with_it() -> None:
