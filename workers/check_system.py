@@ -20,6 +20,7 @@ from typing import TextIO
 
 import numpy as np
 
+from ..schemas.descendants import descendants
 from ..schemas.errors import PerfboundError, SimulationError
 from ..schemas.instants import stamps, uncovered
 from ..schemas.messages import MAX_RESULT
@@ -185,32 +186,27 @@ def _peak() -> int:
     return sum(_of_status(pid, "VmHWM:") for pid in _family())
 
 
-def _of_status(pid: str, key: str) -> int:
+def _of_status(pid: int, key: str) -> int:
     """Return a number of bytes from the status of a process; 0 if it has ended."""
     with suppress(OSError, IndexError):
         return int(Path(f"/proc/{pid}/status").read_text().partition(key)[2].split()[0]) * 1024
     return 0
 
 
-def _family() -> list[str]:
+def _family() -> list[int]:
     """Return this process and all that it started, of which a system may consist."""
-    family = ["self"]
-    for pid in family:  # grows while it is read
-        with suppress(OSError):
-            for task in os.listdir(f"/proc/{pid}/task"):
-                family += Path(f"/proc/{pid}/task/{task}/children").read_text().split()
-    return family
+    return [os.getpid(), *descendants(os.getpid())]
 
 
 def _processes() -> tuple[str, ...]:
     """Return the names of the processes that a rollout has left; a program itself may wait for the next one."""
     running = sys.modules.get(f"{__package__}.systems.running")
-    own = {str(pid) for pid in running.pids()} if running is not None else set()
-    names = [_name_of(pid) for pid in _family() if pid != "self" and pid not in own]
+    own = set(running.pids()) if running is not None else set()
+    names = [_name_of(pid) for pid in descendants(os.getpid()) if pid not in own]
     return tuple(name for name in names if name)[:MOST]
 
 
-def _name_of(pid: str) -> str:
+def _name_of(pid: int) -> str:
     """Return the name of a process; empty if it has ended."""
     with suppress(OSError):
         name, _, rest = Path(f"/proc/{pid}/stat").read_text().partition("(")[2].rpartition(")")

@@ -14,10 +14,9 @@ from contextlib import suppress
 from typing import NoReturn
 
 from ..schemas.descendants import descendants
+from ..schemas.stop_signals import END_FAMILY
 from .lifeline import adopt_orphans, die_with_parent, signal_with_parent
 
-KILL = signal.SIGUSR1
-"""Ends the worker and everything below it at once."""
 GRACE = 0.5
 """Seconds in which what the worker has left may end by itself."""
 TICK = 0.02
@@ -43,11 +42,12 @@ def _guard(child: int, left: int | None, lifeline: int | None, above: int) -> No
     read, write = os.pipe()
     os.set_blocking(write, False)
     signal.set_wakeup_fd(write, warn_on_full_buffer=False)
-    for number in (signal.SIGTERM, signal.SIGABRT, signal.SIGCHLD, KILL):  # SIGABRT has a worker write where it is
+    # SIGABRT has a worker write where it is.
+    for number in (signal.SIGTERM, signal.SIGABRT, signal.SIGCHLD, END_FAMILY):
         signal.signal(number, lambda _number, _frame: None)
     for ignored in (signal.SIGINT, signal.SIGHUP):  # they are for the orchestrator
         signal.signal(ignored, signal.SIG_IGN)
-    signal_with_parent(KILL)
+    signal_with_parent(END_FAMILY)
     if os.getppid() != above:
         os.kill(child, signal.SIGKILL)
     _wait(child, read, lifeline)
@@ -69,7 +69,7 @@ def _wait(child: int, signals: int, lifeline: int | None) -> None:
                 if key.fd == signals:
                     for number in os.read(signals, 100):
                         if number != signal.SIGCHLD:
-                            os.kill(child, signal.SIGKILL if number == KILL else number)
+                            os.kill(child, signal.SIGKILL if number == END_FAMILY else number)
                 elif not os.read(key.fd, 1):
                     os.kill(child, signal.SIGKILL)
                     selector.unregister(key.fd)

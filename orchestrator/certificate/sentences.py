@@ -10,6 +10,7 @@ from ...schemas.certificate import Assumption, Certificate, SpotCheckedProblem, 
 from ...schemas.problems import OBJECTIVES
 from ...schemas.rules import RULES
 
+EDITED = "(the certificate was edited: this assumption has no such form, status and values; verify it.)"
 SIGNIFICANT = 6
 """Digits of a value: fewer than two types of CPU agree in."""
 
@@ -419,10 +420,12 @@ def assumption(
 
 def is_in_its_words(found: Assumption) -> bool:
     """Whether the sentence of an assumption is that of its form, its status and its values, byte for byte."""
-    try:
-        return found.detail == _sentence(found.form or found.id.partition("/")[0], found.status, found.values or {})
-    except (LookupError, ValueError, TypeError):  # a form that is none, or values that are not its own
-        return False
+    return found.detail == _own_sentence(found)
+
+
+def is_worded_here(rules: int | None, software: Mapping[str, str]) -> bool:
+    """Whether a certificate is of this version, which has one sentence for a form and its values."""
+    return rules == RULES and software.get("perfbound") == __version__
 
 
 def in_own_words(found: Certificate) -> Certificate:
@@ -431,21 +434,18 @@ def in_own_words(found: Certificate) -> Certificate:
     Its file is anyone's, and may have been edited; `verify` says so.
     """
     predicate = found.predicate
-    if predicate.rules != RULES or predicate.software.get("perfbound") != __version__:
+    if not is_worded_here(predicate.rules, predicate.software):
         return found
-    edited = {each.id for each in predicate.assumptions if not is_in_its_words(each)}
-    if not edited:
-        return found
-    rebuilt = tuple(_rebuilt(each) if each.id in edited else each for each in predicate.assumptions)
-    return found.model_copy(update={"predicate": predicate.model_copy(update={"assumptions": rebuilt})})
+    own = tuple(each.model_copy(update={"detail": _own_sentence(each) or EDITED}) for each in predicate.assumptions)
+    return found.model_copy(update={"predicate": predicate.model_copy(update={"assumptions": own})})
 
 
-def _rebuilt(found: Assumption) -> Assumption:
+def _own_sentence(found: Assumption) -> str | None:
+    """Return the sentence of the form, status and values of an assumption; None if they are none of perfbound's."""
     try:
-        detail = _sentence(found.form or found.id.partition("/")[0], found.status, found.values or {})
+        return _sentence(found.form or found.id.partition("/")[0], found.status, found.values or {})
     except (LookupError, ValueError, TypeError):
-        detail = "(the certificate was edited: this assumption has no such form, status and values; verify it.)"
-    return found.model_copy(update={"detail": detail})
+        return None
 
 
 def _sentence(form: str, status: Status, values: Mapping[str, float | int | str]) -> str:

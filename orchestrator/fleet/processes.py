@@ -1,7 +1,6 @@
 """Local workers: child processes that end with the orchestrator, and are replaced when they die or hang."""
 
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -12,13 +11,12 @@ from typing import Protocol
 
 from ...schemas import keys
 from ...schemas.errors import PerfboundError
+from ...schemas.stop_signals import END_FAMILY
 
 GRACE = 1.0
 """Seconds between asking a worker to end and killing it."""
 FAMILY = 3.0
 """Seconds in which what a worker has left ends, see `workers.guardian`."""
-KILL = signal.SIGUSR1
-"""Has the guardian of a worker end it at once, with everything below it."""
 PIPE = 65536
 """Bytes of the numbers of processes that were left; a line for each worker that left some."""
 FAST_DEATHS = 5
@@ -136,13 +134,8 @@ class Fleet:
         """Whether `worker` is a local one, which another process replaces when it ends."""
         return worker in self.ended or any(child.worker == worker for child in self._children)
 
-    @property
-    def pids(self) -> list[int]:
-        """Process ids of the guardians of the workers."""
-        return [child.process.pid for child in self._children]
-
     def stop(self) -> None:
-        """End all workers and what their rollouts have left behind, and wait for them."""
+        """End all workers and what their rollouts have left, and wait for them."""
         for child in self._children:
             child.process.terminate()
         self._wait(GRACE)
@@ -191,4 +184,4 @@ class Fleet:
 
 def _end_now(process: ChildProcess) -> None:
     if process.poll() is None:  # else its number may be another's
-        os.kill(process.pid, KILL)
+        os.kill(process.pid, END_FAMILY)

@@ -4,19 +4,20 @@ import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import sqlalchemy as sa
 
 from ...schemas.attempt_record import TABLES, TableDigest
-from .read import reading
+from . import tables
+from .read import read_version, reading
+from .rows import has_table
 
 
 def table_digests(directory: Path, rows: Mapping[str, int] | None = None) -> dict[str, TableDigest]:
     """Return the number of rows of each table of attempts, and the digest of their values.
 
     With `rows` of their first rows alone, as many as it says: later ones belong to a later session. A table that a
-    database of an earlier schema version lacks has none.
+    database of an earlier schema version lacks is left out.
 
     Raises:
         JournalError: there is no campaign, or its database is damaged.
@@ -25,15 +26,13 @@ def table_digests(directory: Path, rows: Mapping[str, int] | None = None) -> dic
     """
     found = {}
     with reading(directory) as connection:
-        there = {name for (name,) in connection.exec_driver_sql("SELECT name FROM sqlite_master WHERE type = 'table'")}
-        for table in TABLES:
+        version = read_version(connection, directory)
+        for name in filter(lambda each: has_table(each, version), TABLES):
             made, number = hashlib.sha256(), 0
-            if table in there:
-                # No row is ever removed: the row number is the order in which they were written.
-                every: sa.Select[Any] = sa.select(sa.literal_column("*")).select_from(sa.table(table))
-                first = every.order_by(sa.literal_column("rowid")).limit(None if rows is None else rows.get(table, 0))
-                for row in connection.execute(first):
-                    made.update(json.dumps(list(row), default=repr).encode() + b"\n")
-                    number += 1
-            found[table] = TableDigest(rows=number, sha256=made.hexdigest())
+            # No row is ever removed: the row number is the order in which they were written.
+            every = tables.rows_of(tables.metadata.tables[name], version).order_by(sa.literal_column("rowid"))
+            for row in connection.execute(every.limit(None if rows is None else rows.get(name, 0))):
+                made.update(json.dumps(list(row), default=repr).encode() + b"\n")
+                number += 1
+            found[name] = TableDigest(rows=number, sha256=made.hexdigest())
     return found

@@ -219,8 +219,7 @@ _FAILURE = (
 
 
 def _failures_table(version: int) -> ExportTable:
-    columns = tables.readable(tables.outcomes, version)
-    query = sa.select(*columns).where(_outcome.outcome.not_in(NO_FAILURE))
+    query = tables.rows_of(tables.outcomes, version).where(_outcome.outcome.not_in(NO_FAILURE))
     # Outcomes have no sequence number: the order of the rows is that in which they were written.
     return ExportTable("failures", _FAILURE, query.order_by(sa.literal_column("outcomes.rowid")), _failure_row)
 

@@ -3,14 +3,12 @@
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
-from ....schemas import __version__
 from ....schemas.certificate import Assumption, Certificate
 from ....schemas.facts import Header
 from ....schemas.requirements import parts_of
-from ....schemas.rules import RULES
 from ...campaign.ledger import observed_discards
 from ..issue import issue, manifest
-from ..sentences import is_in_its_words
+from ..sentences import is_in_its_words, is_worded_here
 from . import compare
 from .checks import ABSENT, plural
 from .compare import ROUND_OFF
@@ -62,8 +60,7 @@ def compared(header: Header, reissued: Certificate, certificate: Certificate) ->
         if fault or detail:
             yield name, fault, detail
     assumptions = reissued.predicate.assumptions, certificate.predicate.assumptions
-    # A version has one sentence for a form and its values.
-    worded_here = header.rules == RULES and header.software.get("perfbound") == __version__
+    worded_here = is_worded_here(header.rules, header.software)
     yield "audit", *_audit(*assumptions, header.rules, worded_here=worded_here)
 
 

@@ -82,9 +82,9 @@ def test_the_secret_is_in_no_command_line(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_workers_that_end_together_count_once(fleet: Fleet) -> None:
     """Six workers that the kernel killed at once ended the campaign, although every next one could run."""
-    while len(fleet.pids) <= FAST_DEATHS:
+    while len(fleet._children) <= FAST_DEATHS:
         fleet._spawn()
     for child in fleet._children:
         child.process.kill()
         child.process.wait()
-    assert len(fleet.tend()) == len(fleet.pids) == FAST_DEATHS + 1
+    assert len(fleet.tend()) == len(fleet._children) == FAST_DEATHS + 1

@@ -42,6 +42,7 @@ from perfbound.schemas.messages import (
 )
 from perfbound.schemas.platforms import platform_class
 from perfbound.schemas.sealed import SEAL, SHOWN, OrchestratorEnd, Packet, WorkerEnd
+from perfbound.schemas.stop_signals import END_FAMILY
 from perfbound.workers.systems import load_system
 from tests.campaigns import UNCHECKED
 from tests.fakes.inmemory import (
@@ -333,5 +334,5 @@ def test_a_process_that_a_message_claims_is_not_ended(tmp_path: Path) -> None:
         server._act(events.GiveUp("stranger-1"))
         assert own.poll() is None
         server._act(events.GiveUp("local-1-0123abcd"))
-        assert own.wait() == -processes.KILL, "its guardian would end it"
+        assert own.wait() == -END_FAMILY, "its guardian would end it"
     fleet.stop()

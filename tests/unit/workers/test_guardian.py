@@ -9,7 +9,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from perfbound.workers.guardian import KILL
+from perfbound.schemas.stop_signals import END_FAMILY
 from tests.patience import PATIENCE
 
 BEGIN = """
@@ -74,11 +74,11 @@ def test_no_zombie_stays_while_the_worker_lives() -> None:
     found.wait_for_line()
     below = psutil.Process(found.process.pid).children(recursive=True)
     assert len(below) == 1, "the worker"
-    os.kill(found.process.pid, KILL)
+    os.kill(found.process.pid, END_FAMILY)
     assert found.wait() == -signal.SIGKILL
 
 
-@pytest.mark.parametrize(("number", "expected"), [(signal.SIGTERM, -signal.SIGTERM), (KILL, -signal.SIGKILL)])
+@pytest.mark.parametrize(("number", "expected"), [(signal.SIGTERM, -signal.SIGTERM), (END_FAMILY, -signal.SIGKILL)])
 def test_signals_reach_the_worker(number: signal.Signals, expected: int) -> None:
     found = Guarded("daemon(1000)\nprint('there', flush=True)\ntime.sleep(1000)")
     found.wait_for_line()
