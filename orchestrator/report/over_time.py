@@ -43,8 +43,9 @@ def with_margin(
         found = worst_moment(tree, trajectory.columns, samples)
         if found is not None:
             moment, columns = (float(samples[found.first, 0]), float(samples[found.last, 0])), found.columns
-    if fact.ended is not None and after_end == "fail" and fact.robustness is not None:
-        moment, columns = (fact.ended, fact.ended), frozenset({ENDED.name})
+    failed_at = fact.ended if after_end == "fail" and fact.robustness is not None else None
+    if failed_at is not None:
+        moment, columns = (failed_at, failed_at), frozenset({ENDED.name})
     return DrawnRollout(
         id=str(fact.rollout),
         variant=fact.rollout.variant,
@@ -55,4 +56,5 @@ def with_margin(
         margin=margin,
         moment=moment,
         columns=tuple(sorted(columns)),
+        failed_at=failed_at,
     )

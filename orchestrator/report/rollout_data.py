@@ -40,6 +40,8 @@ class DrawnRollout:
     """The stretch of time in which the robustness is attained; None where it is not one stretch."""
     columns: tuple[str, ...] = ()
     """Those that the deciding predicates read."""
+    failed_at: float | None = None
+    """When it ended early, in s, of a system that counts this as a violation: then `margin` is not what decides."""
 
 
 @dataclass(frozen=True, slots=True)

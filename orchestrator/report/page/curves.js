@@ -140,6 +140,7 @@ function marginFigure(report, data, rollouts) {
   const clipped = report.clip !== null && ends !== null && (ends[0] < report.clip[0] || ends[1] > report.clip[1]);
   const clip = clipped ? ` The campaign clips it to ${num(report.clip[0])} to ${quantity(report.clip[1], data.margin_unit)}.` : "";
   const none = rollouts.some((each) => each.worst && each.margin.length && each.moment === null);
+  const failed = rollouts.some((each) => each.failed_at !== null) ? " A rollout that ends early violates the specification, as the system declares: its robustness is at most minus the share of the horizon that is missing." : "";
   return chartFigure(
     "curves-margin",
     `Robustness over time${unitText(data.margin_unit) && ` (${unitText(data.margin_unit)})`}`,
@@ -149,7 +150,7 @@ function marginFigure(report, data, rollouts) {
       legendItem("key.zero-line", "the requirement: 0; below it the specification is violated"),
       rollouts.some((each) => each.moment) ? legendItem("mark.moment", "worst moment: here the robustness is attained; where it lasts, its beginning") : null,
     ),
-    el("p.muted", "Shown is ", el("code", short(data.margin_of, 300)), data.attained === "first" ? ". " : " at each moment. ", ATTAINED[data.attained] ?? "", clip, none ? " The worst rollout attains it at separate times, so none is marked." : ""),
+    el("p.muted", "Shown is ", el("code", short(data.margin_of, 300)), data.attained === "first" ? ". " : " at each moment. ", ATTAINED[data.attained] ?? "", failed, clip, none ? " The worst rollout attains it at separate times, so none is marked." : ""),
   );
 }
 

@@ -14,6 +14,7 @@ from perfbound.orchestrator.report.rollout_data import Curve, DrawnRollout, Roll
 from perfbound.orchestrator.store.export import table_rows
 from perfbound.schemas.facts import RolloutFact
 from perfbound.schemas.ids import RolloutId
+from perfbound.schemas.system import AfterEnd
 from perfbound.schemas.trajectory import Trajectory
 from tests.fakes.finished import a_list, a_pair, finish, play
 
@@ -108,6 +109,17 @@ def test_the_worst_moment_is_a_stretch_of_time_or_nothing() -> None:
     assert described("always x >= 2", [5, 1, 1, 1]).moment == (1.0, 3.0)
     assert described("always x >= 2", [5, 1, 3, 1]).moment is None
     assert described("always x >= 2", [5, 1, 3]).columns == ("x",)
+
+
+@pytest.mark.parametrize("after_end", ["hold", "fail"])
+def test_of_a_rollout_that_ends_early_and_fails_its_end_decides(after_end: AfterEnd) -> None:
+    samples = np.array([[0.0, 5.0, 0.0], [1.0, 1.0, 0.0], [2.0, 4.0, 0.0], [4.0, 4.0, 1.0]])
+    fact = RolloutFact(RolloutId("true_risk", 0, "true", 0), 7, "", 0, "", -0.5, ended=2.0)
+    trajectory = Trajectory(("t", "x", "ended"), samples)
+    found = over_time.with_margin(fact, trajectory, parse_formula("always x >= 0"), after_end)
+    assert (found.failed_at, found.moment, found.columns) == (
+        (2.0, (2.0, 2.0), ("ended",)) if after_end == "fail" else (None, (1.0, 1.0), ("x",))
+    )
 
 
 def test_a_signal_begins_and_ends_with_what_is_read() -> None:
