@@ -17,7 +17,7 @@ PREDICATE_TYPE: Literal["urn:perfbound:certificate:v1"] = "urn:perfbound:certifi
 
 OF_DRAWN_STARTS = ("subject", "requirement", "level", "factor", "samples")
 OPTIONAL_IN_CLAIM = ("starts", "clipped", "by_clip", "without_data", "vacuous", *OF_DRAWN_STARTS)
-"""Keys of a claim that are left out where they have no value, as in certificates from before they existed."""
+"""Keys of a claim that are left out where they have no value."""
 Status = Literal["derived", "assumed", "not refuted", "refuted"]
 
 
@@ -34,7 +34,7 @@ class CampaignId(Model):
     name: str
     seed: int
     config_sha256: str
-    system_sha256: str | None = Field(default=None, description="of the system's specification; not in older ones")
+    system_sha256: str = Field(description="of the system's specification")
 
 
 class CertificateClaim(Model):
@@ -51,22 +51,20 @@ class CertificateClaim(Model):
     starts: int | None = Field(
         default=None,
         ge=1,
-        description="number of listed starts, the only ones that the claim covers; null for a box; since rules 2",
+        description="number of listed starts, the only ones that the claim covers; null for a box",
     )
     clipped: tuple[float, float] | None = Field(
         default=None,
         description="the claim is about values that count as the nearer of these two beyond them, and the values "
         "themselves may contradict it; null where what is true of the clipped values is true of the values",
     )
-    by_clip: float | None = Field(
-        default=None, description="what the clip alone proves; since rules 2, `bound` is never weaker"
-    )
+    by_clip: float | None = Field(default=None, description="what the clip alone proves; `bound` is never weaker")
     without_data: float | None = Field(
-        default=None, description="what B, the prior mean and the clip prove before the first rollout; since rules 2"
+        default=None, description="what B, the prior mean and the clip prove before the first rollout"
     )
     vacuous: bool | None = Field(
         default=None,
-        description="whether the clip alone proves `bound`, so that it shows nothing; since rules 2",
+        description="whether the clip alone proves `bound`, so that it shows nothing",
     )
     subject: str | None = Field(
         default=None, description="the quantity in words, with its level; null where `quantity` says it"
@@ -109,9 +107,7 @@ class ProblemResult(Model):
     stopped_by: StoppedBy
     parameters: dict[str, object]
     last_F: float | None  # noqa: N815  (the paper's symbol)
-    by_clip: float | None = Field(
-        default=None, description="what the clip alone proves of the objective; since rules 2"
-    )
+    by_clip: float | None = Field(default=None, description="what the clip alone proves of the objective")
     requirement: str | None = Field(
         default=None,
         exclude_if=lambda name: name is None,
@@ -135,8 +131,8 @@ class Assumption(Model):
         exclude_if=lambda form: form is None,
         description="the form of the sentence, where it is not that of the id",
     )
-    values: dict[str, int | float | str] | None = Field(
-        default=None, description="the named numbers behind the status; not in older certificates"
+    values: dict[str, int | float | str] = Field(
+        default_factory=dict, description="the named numbers behind the status"
     )
 
 
@@ -322,15 +318,13 @@ class Predicate(Model):
     regions: CertifiedRegions | None = Field(
         default=None, description="of a campaign with `regions`, unless the data refute its assumptions"
     )
-    spot_check: SpotCheck | None = Field(default=None, description="not in older certificates")
-    recheck: Recheck | None = Field(default=None, description="not in older certificates")
+    spot_check: SpotCheck | None = Field(default=None, description="of a campaign with one")
+    recheck: Recheck | None = Field(default=None, description="of a campaign with one")
     evidence: Evidence
     software: dict[str, str]
-    rules: int | None = Field(
-        default=None, ge=1, description="of seeds, digests and decisions; not in older certificates, which follow 1"
-    )
+    rules: int = Field(ge=1, description="of seeds, digests and decisions")
     sensitivity: tuple[Sensitivity, ...] | None = Field(
-        default=None, description="the claims that rest on a kernel, with other constants; since rules 2"
+        default=None, description="the claims that rest on a kernel, with other constants"
     )
 
     def __repr__(self) -> str:
@@ -362,17 +356,12 @@ class Certificate(Model):
     def to_json(self) -> str:
         """Return the one text of this certificate, ending with a newline."""
         value = self.model_dump(mode="json", by_alias=True)
-        # Fields that an earlier perfbound did not have are left out, so that its certificates keep their bytes.
+        # What a campaign has not is left out.
         predicate = value["predicate"]
         for part, key in (
-            *(
-                (predicate, key)
-                for key in ("rules", "sensitivity", "counterexample", "regions", "spot_check", "recheck")
-            ),
-            (predicate["campaign"], "system_sha256"),
+            *((predicate, key) for key in ("sensitivity", "counterexample", "regions", "spot_check", "recheck")),
             *((claim, key) for claim in predicate["claims"] for key in OPTIONAL_IN_CLAIM),
             *((problem, "by_clip") for problem in predicate["problems"]),
-            *((assumption, "values") for assumption in predicate["assumptions"]),
         ):
             if part[key] is None:
                 del part[key]

@@ -9,7 +9,7 @@ from .base import Model
 from .errors import MessageError, one_line, shortened
 from .failure import FailureKind
 from .ranges import MAX_FILE_BYTES, AttemptNumber, ProcessId, ProtocolNumber, Seconds, StepCount
-from .rollout import RolloutRequest
+from .rollout import RolloutRequest, Sha256
 
 PROTOCOL = 3
 MAX_MESSAGE = 64 * 1024
@@ -26,7 +26,6 @@ Excerpt = Annotated[str, AfterValidator(shortened)]
 """Text of any length, of which 300 characters are kept as one line."""
 Advice = Annotated[str, AfterValidator(partial(shortened, longest=2000))]
 Secret = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
-Identities = Annotated[tuple[Key, ...], Field(min_length=1, max_length=20)]
 
 
 class Assign(Model):
@@ -97,9 +96,7 @@ class WorkerState(Model):
         default="", description="class of CPU and C library, on which equal requests give equal bytes"
     )
     pid: ProcessId
-    systems: dict[Key, Identities] = Field(
-        max_length=200, description="of each system, the identities by which campaigns may know it"
-    )
+    systems: dict[Key, Sha256] = Field(max_length=200, description="identity of each system")
     parts: dict[Key, tuple[Key, ...]] = Field(
         default_factory=dict,
         max_length=200,

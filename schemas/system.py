@@ -10,12 +10,9 @@ from pydantic import Field, ValidationError, model_validator
 from .base import Model, digest
 from .errors import DefinitionError, shortened
 from .ranges import MAX_FILE_BYTES, SEED_BITS, FileBytes, Magnitude, Seconds, SeedBits
-from .rules import KNOWN, RULES
 from .signals import SignalShape
 from .values import Stamps
 
-ADDED = ("timed", "code", "default_horizon", "seed_bits", "repeated", "trajectory_bytes", "stamps", "after_end")
-"""Keys of a SystemSpec that no campaign of rules 1 has."""
 DECIDES_NO_ROLLOUT = {"default_horizon", "trajectory_bytes"}
 """Keys that are no part of a system's identity: every request has its own horizon, and no file depends on its limit."""
 PART = 12
@@ -267,17 +264,8 @@ class SystemSpec(Model, metaclass=Written):
     @property
     def digest(self) -> str:
         """Identity of this exact system; workers that announce another one are refused."""
-        return self.digest_by(RULES)
-
-    @property
-    def identities(self) -> tuple[str, ...]:
-        """The identities by which campaigns may know this system: by each rules, with its code and without.
-
-        Campaigns of the first functions know the code, and not yet the versions of the packages that it imports.
-        """
-        less: tuple[dict[str, Any], ...] = ({"code": {}}, {"versions": {}}) if self.code else ()
-        specs = (self, *(self.model_copy(update=without) for without in less))
-        return tuple({spec.digest_by(rules): None for rules in sorted(KNOWN, reverse=True) for spec in specs})
+        # A key that a later version adds changes nothing while it is not set. A changed default does.
+        return digest(self.declared.model_dump(mode="json", exclude_defaults=True, exclude=DECIDES_NO_ROLLOUT))
 
     @property
     def parts(self) -> dict[str, str]:
@@ -314,14 +302,6 @@ class SystemSpec(Model, metaclass=Written):
             if key not in seen and getattr(self.declared, key) != getattr(here.declared, key)
         ]
         return code + versions + others
-
-    def digest_by(self, rules: int) -> str:
-        """Return the identity of this system in the campaigns of some rules: that of the declared one."""
-        declared = self.declared
-        if rules == 1:
-            return digest(declared.model_dump(mode="json", exclude=set(ADDED)))
-        # Since rules 2 a key that a later version adds changes nothing while it is not set. A changed default does.
-        return digest(declared.model_dump(mode="json", exclude_defaults=True, exclude=DECIDES_NO_ROLLOUT))
 
 
 ENDED = Column(name="ended", unit="1")

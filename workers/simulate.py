@@ -31,8 +31,7 @@ def requested_system(request: RolloutRequest) -> SystemUnderTest:
     """
     system = load_system(request.system)
     spec = system.spec
-    # A campaign keeps the identity of its system that it was started with.
-    if request.spec_sha256 not in spec.identities:
+    if request.spec_sha256 != spec.digest:
         installed = ", ".join([*(f"{name} {version}" for name, version in spec.versions.items()), *spec.code])
         raise SimulationError(f"the campaign expects another build of {spec.name} than this one ({installed})")
     return system

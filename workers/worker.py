@@ -70,7 +70,7 @@ class WorkerProcess:
         self._signalled = threading.Event()
         self._changed = threading.Event()
         specs = {name: each for name, each in usable().items() if isinstance(each, SystemSpec)}
-        self._systems = {name: each.identities for name, each in specs.items()}
+        self._systems = {name: each.digest for name, each in specs.items()}
         self._parts, room = dict[str, tuple[str, ...]](), MOST_PARTS
         for system, each in specs.items():
             if len(each.parts) <= room:  # of more, a refusal names none: heartbeats are many

@@ -1,6 +1,6 @@
 """The closing checks of a campaign: spot check, risk, shrinking, then the recheck, each if the campaign has it."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 from ...schemas.facts import Header, first_link
 from ...schemas.ids import RECHECK, RolloutId, closing_check
@@ -20,8 +20,6 @@ from .spot_check import SpotCheck, SpotSeries, spot_check_plan
 from .tested import is_dominated
 
 Check = SpotCheck | RiskCheck | Shrink | Recheck
-Begins = Callable[[str], bool]
-"""Whether a check begins that campaigns of an earlier perfbound do not have, by the name of its series."""
 
 
 class ClosingChecks:
@@ -55,14 +53,13 @@ class ClosingChecks:
         """What the checks since the last extension have refuted, in words; None if nothing."""
         if self.spot_check is not None and self.spot_check.refuted:
             return f"the {self.spot_check.name} refutes a bound"
-        # By earlier rules nothing tested these pairs, and a campaign may have been extended after them.
-        if self._header.rules > 3 and self.spot_check is not None and not is_dominated(self.spot_check.excess):
+        if self.spot_check is not None and not is_dominated(self.spot_check.excess):
             return f"the {self.spot_check.name} refutes that the gap dominates the difference in robustness"
         if self.recheck is not None and self.recheck.differing:
             return f"the {self.recheck.name} found a rollout that does not follow from its seed"
         return None
 
-    def next(self, reached: state.State, series: Mapping[str, Series], begins: Begins) -> tuple[Check, Series] | None:
+    def next(self, reached: state.State, series: Mapping[str, Series]) -> tuple[Check, Series] | None:
         """Begin the next check of a campaign whose series have all stopped; None after the last one."""
         header = self._header
         # In this order: a recheck repeats rollouts of the spot check as well.
@@ -70,7 +67,7 @@ class ClosingChecks:
             tested = bounded_accounts(self._accounts, self._methods)
             self.spot_check = SpotCheck(header, tested, self._observer, self._recorded, self._extensions)
             return self.spot_check, SpotSeries(first_link(header, self.spot_check.name))
-        if (risk := self._risk_check(series)) is not None and begins(risk.name):
+        if (risk := self._risk_check(series)) is not None:
             self.risk_check = risk
             return risk, Series(first_link(header, risk.name))
         if self.recheck is None and self.shrink is None and (shrink := self._shrink()) is not None:

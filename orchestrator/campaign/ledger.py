@@ -7,7 +7,6 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 
 from ...schemas.campaign import CampaignConfig
@@ -28,7 +27,7 @@ from ...schemas.trajectory import Trajectory
 from ..store import files as evidence
 from . import state
 from .account import Account
-from .closing_checks import Begins, ClosingChecks
+from .closing_checks import ClosingChecks
 from .decisions import Decider, Follow, ProblemDecisions, scores
 from .extension import check_extension
 from .methods import methods
@@ -58,9 +57,8 @@ class Ledger:
         *,
         files: FileStore | None = None,
         follow: Follow | None = None,
-        begins: Begins = lambda _: True,
     ) -> None:
-        """Begin with no fact; of a campaign that is decided again `follow` has the tests, `begins` the later checks."""
+        """Begin with no fact; of a campaign that is decided again `follow` has the tests."""
         self.header = header = store.header
         self.config: CampaignConfig = header.config
         self.plans = plans(header.config, header.spec)
@@ -77,7 +75,7 @@ class Ledger:
             name: ProblemDecisions(account, header, self.methods, self.observer, follow)
             for name, account in self.accounts.items()
         }
-        self._directory, self._store, self._begins = directory, store, begins
+        self._directory, self._store = directory, store
         self.recorded = Recorded(directory, store)
         self.closing = ClosingChecks(header, self.accounts, self.methods, self.observer, self.recorded)
         self._files: FileStore = files or evidence.Batch()
@@ -104,8 +102,8 @@ class Ledger:
 
         """
         try:
-            for fact, after in _with_next(self._store.facts()):
-                self._apply(fact, partial(_begins, after))
+            for fact in self._store.facts():
+                self._apply(fact)
             # Both are written in one transaction, so no crash leaves one of them.
             if any(series.due for series in self.series.values()):
                 raise IllegalEvent("an observation without its bound")
@@ -205,9 +203,9 @@ class Ledger:
 
     def _write(self, fact: Fact) -> tuple[state.Action, ...]:
         self._store.add(fact)
-        return self._apply(fact, self._begins)
+        return self._apply(fact)
 
-    def _apply(self, fact: Fact, begins: Begins) -> tuple[state.Action, ...]:
+    def _apply(self, fact: Fact) -> tuple[state.Action, ...]:
         event: state.Event
         match fact:
             case ProposalFact(problem, test):
@@ -237,34 +235,17 @@ class Ledger:
                 event = state.Observed(problem, test, fact.bound.verdict)
         self.state, actions = state.step(self.state, event)
         # The last observation may withdraw rollouts as well: they come before what the check begins with.
-        return (*actions[:-1], *self._begin_check(begins)) if state.Certify() in actions else actions
+        return (*actions[:-1], *self._begin_check()) if state.Certify() in actions else actions
 
-    def _begin_check(self, begins: Begins) -> tuple[state.Action, ...]:
+    def _begin_check(self) -> tuple[state.Action, ...]:
         """Begin the next check of a campaign whose series have all stopped; without one it can be certified."""
-        found = self.closing.next(self.state, self.series, begins)
+        found = self.closing.next(self.state, self.series)
         if found is None:
             return (state.Certify(),)
         check, series = found
         self.series[check.name], self.deciders[check.name] = series, check
         self.state, actions = state.with_series(self.state, check.plan)
         return actions
-
-
-def _with_next(facts: Iterable[Fact]) -> Iterator[tuple[Fact, Fact | None]]:
-    """Yield every fact with the one after it; None after the last."""
-    last: Fact | None = None
-    for fact in facts:
-        if last is not None:
-            yield last, fact
-        last = fact
-    if last is not None:
-        yield last, None
-
-
-def _begins(after: Fact | None, name: str) -> bool:
-    """Whether a series began after a fact that ended the one before, by the fact that follows it."""
-    # Both are written in one transaction, so that no crash separates them.
-    return isinstance(after, ProposalFact) and after.problem == name
 
 
 def observed_discards(ledger: Ledger) -> list[DiscardFact]:

@@ -60,8 +60,8 @@ class Recheck:
 
     @classmethod
     def wanted(cls, header: Header) -> bool:
-        """Whether the campaign has a recheck: since rules 2."""
-        return header.rules > 1 and header.config.recheck > 0
+        """Whether the campaign has a recheck."""
+        return header.config.recheck > 0
 
     def proposal(self, series: Series, test: int) -> ProposalFact:  # noqa: ARG002  (the draw is fixed)
         """Return the start of the test's original."""

@@ -16,7 +16,7 @@ VARIANTS = ("nominal", "true")
 
 def rollout_seed(header: Header, rollout: RolloutId) -> int:
     """Return the seed of a rollout, below 2^53 or what its system takes; a retry uses the same one."""
-    if header.rules > 1 and header.spec.seed_bits < SEED_BITS:
+    if header.spec.seed_bits < SEED_BITS:
         return _short_seed(header, rollout)
     place = rollout.test, VARIANTS.index(rollout.variant), rollout.replicate
     state = _sequence(header, rollout.problem, *place).generate_state(1, np.uint64)
@@ -81,11 +81,6 @@ def _numbered(series: list[str], tests: int, rollout: RolloutId) -> int:
 
 
 def _sequence(header: Header, problem: str, *place: int) -> np.random.SeedSequence:
-    config = header.config
-    # Rules 1: two campaigns with one seed share rollouts, whatever their files say.
-    if header.rules == 1:
-        index = [each.name for each in config.problems].index(problem)  # type: ignore[arg-type]
-        return np.random.SeedSequence(config.seed, spawn_key=(index, *place))
-    # By name, so that the order of the problems in the file changes no rollout.
-    identity = config.seed, int(header.config_sha256, 16)
+    # With the digest of the file no two campaigns share rollouts. By name: the order of the problems changes none.
+    identity = header.config.seed, int(header.config_sha256, 16)
     return np.random.SeedSequence(identity, spawn_key=(zlib.crc32(problem.encode()), *place))

@@ -87,7 +87,7 @@ class SpotCheck:
         self.variants = tuple(dict.fromkeys(variant for variant, _ in plan.rollouts))
         self._replicates = 1 + max(replicate for _, replicate in plan.rollouts)
         noisy = set(header.spec.noisy)
-        hypotheses = [_hypothesis(each, _limit(accounts[each.key]), noisy, header.rules) for each in self._plans]
+        hypotheses = [_hypothesis(each, _limit(accounts[each.key]), noisy) for each in self._plans]
         self.hypotheses = {each.key: found for each, found in zip(self._plans, hypotheses, strict=True)}
         self.starts = _uniform_starts(header, self._plans, self.name)
         followups = plan.max_tests - len(self.starts)
@@ -101,7 +101,7 @@ class SpotCheck:
 
     @classmethod
     def wanted(cls, header: Header, accounts: Mapping[str, Account]) -> bool:
-        """Whether the campaign has a spot check: since rules 2, on a box, where some problem has a bound.
+        """Whether the campaign has a spot check: on a box, where some problem has a bound.
 
         A counterexample has answered the question: no further start is simulated. Neither is one where the campaign
         is to end with a refutation.
@@ -212,7 +212,7 @@ class SpotCheck:
 def spot_check_plan(header: Header, plans: Collection[ProblemPlan], name: str = SPOT_CHECK) -> state.Plan | None:
     """Return the tests of the spot check of these problems; None for a campaign that has none, whatever its bounds."""
     config, noisy = header.config, header.spec.noisy
-    if header.rules < 2 or not config.spot_check or not all(isinstance(each.candidates, Lattice) for each in plans):
+    if not config.spot_check or not all(isinstance(each.candidates, Lattice) for each in plans):
         return None
     used = {variant for plan in plans for variant in plan.variants}
     # Replicates of a variant without noise would be copies, and no follow-up tells more of it.
@@ -245,13 +245,13 @@ def _is_refuted(account: Account) -> bool:
     return account.last_bound is not None and account.last_bound.stopped_by == "refuted"
 
 
-def _hypothesis(plan: ProblemPlan, limit: float, noisy: Set[str], rules: int) -> Hypothesis:
+def _hypothesis(plan: ProblemPlan, limit: float, noisy: Set[str]) -> Hypothesis:
     """Return what the spot check tests of a problem, with the noise scale that its bound rests on where that helps."""
     (low, high), scale = value_range(plan), plan.noise_per_rollout
-    # Since rules 4 beside a range as well: a bet within a wide clip gains nothing against little noise. That of the
-    # paper's risk is the scale of a mean less deviations, and not of a rollout.
+    # Beside a range as well: a bet within a wide clip gains nothing against little noise. That of the paper's risk is
+    # the scale of a mean less deviations, and not of a rollout.
     of_rollouts = not (plan.objective.risk and plan.problem.method == "paper")
-    narrow = low is None or high is None or (rules > 3 and of_rollouts and scale <= (high - low) / NARROW)
+    narrow = low is None or high is None or (of_rollouts and scale <= (high - low) / NARROW)
     return Hypothesis(
         plan.key,
         limit,

@@ -37,7 +37,6 @@ DISCARDED = "discarded_"
 EXTENDED = "extended_"
 """Of the ids of extensions, before their number and the problem."""
 UNRELATED = "unrelated_crashes"
-"""Listed since rules 3."""
 TRUSTED = (
     UNRELATED,
     "only_campaign",
@@ -85,23 +84,17 @@ def assumptions(
     measured = repeated == "nowhere"
     found: list[Assumption] = []
     for name, account in accounts.items():
-        found_here = list(_of_problem(account, ledger.methods, ledger.header.rules))
-        # Rules 1 know no assumption of these: a certificate keeps the list that it was issued with.
-        if ledger.header.rules > 1:
-            found_here = [*_spot_checked(found_here, name, checks.spot_check), *tested(account)]
-            found_here = list(_of_regions(found_here, name, checks.regions))
-        found += [*found_here, *_of_gap(account, accounts, ledger)]
+        found_here = _spot_checked(_of_problem(account, ledger.methods), name, checks.spot_check)
+        found += _of_regions([*found_here, *tested(account)], name, checks.regions)
+        found += _of_gap(account, accounts, ledger)
         # A campaign without specification has no robustness, and so no clip; a claim without noise needs none.
         if account.robustness and account.plan.clip != UNBOUNDED:
             found.append(_clip(account, _at_fresh_starts(ledger, account.plan)))
     rollouts: dict[str, int | float | str] = {
         "rollouts": sum(sum(account.counts.values()) for account in ledger.accounts.values())
     }
-    if ledger.header.rules == 1:
-        found.append(assumption("finite_rollouts", "derived", rollouts, form="finite_rollouts_1"))
-    else:
-        found.append(assumption("finite_rollouts", "derived", rollouts))
-        found.append(_reproducible(checks.recheck, measured=measured, irreproducible=irreproducible))
+    found.append(assumption("finite_rollouts", "derived", rollouts))
+    found.append(_reproducible(checks.recheck, measured=measured, irreproducible=irreproducible))
     found += [*_remarked(ledger), *_discarded(ledger), *_extended(ledger)]
     if set(PAIR) <= set(accounts):
         # The product needs that neither problem uses the other's data; only method `paper` claims it.
@@ -109,14 +102,10 @@ def assumptions(
             found.append(assumption("independence", "derived"))
         found.append(assumption("accounting", "derived"))
     extended = {"fixed_beforehand": "fixed_beforehand_extended"} if ledger.extensions else {}
-    if ledger.header.rules == 1:
-        form = extended.get("fixed_beforehand", "fixed_beforehand_1")
-        return [*found, assumption("fixed_beforehand", "assumed", form=form), assumption("workers_honest", "assumed")]
     if repeated == "session":
         found.append(assumption("defined_in_session", "assumed"))
     forms = extended | (MEASURED if measured else {})
-    names = TRUSTED if ledger.header.rules > 2 else [each for each in TRUSTED if each != UNRELATED]
-    trusted = [assumption(name, "assumed", form=forms.get(name)) for name in names]
+    trusted = [assumption(name, "assumed", form=forms.get(name)) for name in TRUSTED]
     return [*found, *(honest if honest and each.id == honest.id else each for each in trusted)]
 
 
@@ -193,7 +182,7 @@ def _reproducible(recheck: Recheck | None, *, measured: bool, irreproducible: bo
     return assumption(name, "not refuted" if recheck and recheck.agreed == recheck.rollouts else "refuted", values)
 
 
-def _of_problem(account: Account, methods: Methods, rules: int) -> Iterator[Assumption]:
+def _of_problem(account: Account, methods: Methods) -> Iterator[Assumption]:
     problem, method = account.plan.problem, methods.get(account.plan.key)
     match problem:
         case PaperProblem():
@@ -205,7 +194,7 @@ def _of_problem(account: Account, methods: Methods, rules: int) -> Iterator[Assu
             assert isinstance(method, KrigingMethod)
             return _weighted(account, problem, method)
         case ScenarioProblem():
-            return _scenario(account, problem, rules)
+            return _scenario(account, problem)
         case SampleProblem():
             return _sample(account, problem)
 
@@ -296,20 +285,14 @@ def _noise_assumptions(account: Account, problem: RigorousProblem) -> Iterator[A
         yield assumption(f"replicate_spread/{name}", *found)
 
 
-def _scenario(account: Account, problem: ScenarioProblem, rules: int) -> Iterator[Assumption]:
+def _scenario(account: Account, problem: ScenarioProblem) -> Iterator[Assumption]:
     name, last = account.plan.key, account.last_bound
     yield _listed(account)
-    # Rules 1 derive independence from the seeds; since rules 2 `_sampled` compares trajectories and their order.
-    first = rules == 1
-    if first:
-        rollouts = {"rollouts": sum(account.counts.values())}
-        yield assumption(f"independent_rollouts/{name}", "derived", rollouts, form="independent_rollouts_1")
     if last is not None and last.bound.upper is not None and last.bound.lower is not None:
         # J = -risk. The limit bounds the expectation from above: a bound beyond it would refute the single law.
         ell, limit = -last.bound.upper, -last.bound.lower
         status: Status = "refuted" if limit < ell else "not refuted"
-        limits = f"one_law_per_start/{name}" if first else f"limit_agrees/{name}"
-        yield assumption(limits, status, {"ell": ell, "limit": limit}, form="limit_agrees")
+        yield assumption(f"limit_agrees/{name}", status, {"ell": ell, "limit": limit}, form="limit_agrees")
     if problem.linearised is not None:
         yield _linearised(name, problem.linearised)
 
@@ -344,8 +327,8 @@ def _linearised(name: str, constants: Linearised | Literal["past"]) -> Assumptio
 
 
 def _at_fresh_starts(ledger: Ledger, plan: ProblemPlan) -> list[float]:
-    """Return the robustness that spot checks saw of the variants of a problem; none before rules 4."""
-    checks = [each for each in ledger.series.values() if isinstance(each, SpotSeries) and ledger.header.rules > 3]
+    """Return the robustness that spot checks saw of the variants of a problem."""
+    checks = [each for each in ledger.series.values() if isinstance(each, SpotSeries)]
     return [value for check in checks for variant in plan.variants for value in check.clipped.get(variant, ())]
 
 
@@ -367,7 +350,7 @@ def _of_gap(account: Account, accounts: Mapping[str, Account], ledger: Ledger) -
     if account.plan.key != "sim_gap":
         return
     check = ledger.closing.spot_check
-    fresh = check.excess if check is not None and ledger.header.rules > 3 else -math.inf
+    fresh = check.excess if check is not None else -math.inf
     yield _dominates(account, max(account.excess, fresh))
     if "nominal" in account.plan.shared:
         yield _deterministic_nominal(accounts.get("nominal_robustness"))

@@ -9,7 +9,7 @@ from ..campaign.objectives import mean
 from ..campaign.plan import ProblemPlan
 from ..campaign.risk_check import RiskCheck
 from ..campaign.spot_check import SpotCheck, SpotSeries, tested_variant
-from ..mathematics.bounds.predictable import Choice, CvarSequence, best_expected, sample_quantile
+from ..mathematics.bounds.predictable import CvarSequence, best_expected
 from ..mathematics.bounds.rounding import round_up
 from ..mathematics.bounds.share import clopper_pearson_upper, quantile_lower, unseen_share
 from ..mathematics.bounds.spot_check import SpotFinding
@@ -47,10 +47,9 @@ def _most_starts(
 ) -> document.MostStarts | None:
     """Return what the rollouts of the first test at each start prove of all starts but `SHARE`."""
     noisy, clip = tested_variant(check.variants) in ledger.header.spec.noisy, ledger.config.clip
-    choice = best_expected if ledger.header.rules > 4 else sample_quantile
-    bound = _mean_of_most(robustness, clip, check.level, choice) if noisy else _value_of_most(robustness, check.level)
-    # What the clip alone proves is no bound; by earlier rules it was one of values without noise.
-    if bound is None or (ledger.header.rules > 3 and clip is not None and bound <= clip[0]):
+    bound = _mean_of_most(robustness, clip, check.level) if noisy else _value_of_most(robustness, check.level)
+    # What the clip alone proves is no bound.
+    if bound is None or (clip is not None and bound <= clip[0]):
         return None
     within = reach_of(ledger.config.formula, ledger.header.spec.after_end)
     return document.MostStarts(
@@ -58,9 +57,7 @@ def _most_starts(
         quantity="expected_robustness" if noisy else "robustness",
         bound=bound,
         probability=1 - check.level,
-        clipped=hiding(clip, within, "mean" if noisy else "each", ">=", bound=bound)
-        if ledger.header.rules > 4
-        else None,
+        clipped=hiding(clip, within, "mean" if noisy else "each", ">=", bound=bound),
     )
 
 
@@ -70,12 +67,12 @@ def _value_of_most(robustness: Sequence[tuple[float, ...]], level: float) -> flo
 
 
 def _mean_of_most(
-    robustness: Sequence[tuple[float, ...]], clip: tuple[float, float] | None, level: float, choice: Choice
+    robustness: Sequence[tuple[float, ...]], clip: tuple[float, float] | None, level: float
 ) -> float | None:
     """Return a bound of the means of noisy values; None without a clip, and where no more than the clip is proven."""
     if clip is None:
         return None
-    bound = CvarSequence(SHARE, clip, delta=level, choice=choice)
+    bound = CvarSequence(SHARE, clip, delta=level, choice=best_expected)
     for values in robustness:
         # A mean of clipped values may leave the clip by round-off.
         bound.add(min(max(mean(values), clip[0]), clip[1]))

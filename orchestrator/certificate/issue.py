@@ -56,7 +56,7 @@ def issue(
     header, config = ledger.header, ledger.config
     accounts = bounded_accounts(ledger.accounts, ledger.methods)
     plans = {name: account.plan for name, account in accounts.items()}
-    results: Results = {name: result(account, header.rules) for name, account in accounts.items()}
+    results: Results = {name: result(account) for name, account in accounts.items()}
     checked, repeated = spot_check(ledger), recheck(ledger)
     honest = workers_honest(header, _listed(evidence), contradicted)
     found = assumptions(
@@ -67,15 +67,10 @@ def issue(
         honest=honest,
     )
     claimed = claims(config, plans, results, ledger.methods, found)
-    if header.rules < 5:
-        without = (each.model_copy(update={"clipped": None}) for each in claimed.claims)
-        claimed = replace(claimed, claims=tuple(without))
-    varied = None
-    if header.rules >= 2:
-        results = with_clip(results, config)
-        found_claims = without_rollouts(claimed.claims, config, plans, results)
-        claimed = replace(claimed, claims=of_listed_starts(found_claims, bases(config), plans))
-        varied = sensitivity(claimed.claims, config, accounts, results)
+    results = with_clip(results, config)
+    found_claims = without_rollouts(claimed.claims, config, plans, results)
+    claimed = replace(claimed, claims=of_listed_starts(found_claims, bases(config), plans))
+    varied = sensitivity(claimed.claims, config, accounts, results)
     if regions is not None:
         first, *others = claimed.claims
         claimed = replace(claimed, claims=(first, safe_share(regions.document, first), *others))

@@ -19,7 +19,7 @@ GAPS = {
 }
 
 
-def result(account: Account, rules: int) -> document.ProblemResult:
+def result(account: Account) -> document.ProblemResult:
     """Return the bound of a problem that has stopped, rounded outward to 1e-9."""
     plan, last, proposal = account.plan, account.last_bound, account.last_proposal
     assert proposal is not None
@@ -34,7 +34,7 @@ def result(account: Account, rules: int) -> document.ProblemResult:
     chances = _probabilities(plan)
     return document.ProblemResult(
         name=problem.name,
-        objective=objective(plan, rules, in_sense(sense, upper)),
+        objective=objective(plan, in_sense(sense, upper)),
         method=problem.method,
         sense=sense,
         bound=in_sense(sense, upper),
@@ -55,19 +55,19 @@ def in_sense(sense: Sense, upper: float) -> float:
     return round_down(-upper) if sense == "min" else round_up(upper)
 
 
-def objective(plan: ProblemPlan, rules: int, bound: float | None = None) -> str:
+def objective(plan: ProblemPlan, bound: float | None = None) -> str:
     """Return the objective of a problem in words, with its clip where `bound` may be false of the values."""
     problem = plan.problem
     statement = plan.statement_of(plan.claims[0], bound) if plan.claims else plan.statement
     text = statement.words.format(gap=GAPS[plan.gap.kind])
-    # A reader takes "over d" for the box. Rules 1: the words are those that a certificate was issued with.
-    if rules > 1 and plan.listed is not None:
+    # A reader takes "over d" for the box.
+    if plan.listed is not None:
         text = text.replace("over d", f"over the {plan.listed} listed starts", 1)
     if plan.parts:
         text = f"{text}, of every requirement"
     elif plan.requirement is not None:
         text = f"{text}, of requirement {plan.requirement}"
-    if rules > 4 and not plan.claims and (clip := plan.hidden_by(bound=bound)) is not None:
+    if not plan.claims and (clip := plan.hidden_by(bound=bound)) is not None:
         text = f"{text}, of values {clip_words(clip)}"
     inside = isinstance(problem, ScenarioProblem) and isinstance(problem.linearised, Linearised)
     linear = inside or problem.observed_through is not None

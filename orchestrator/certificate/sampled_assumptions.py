@@ -37,13 +37,10 @@ def sampled_assumptions(ledger: Ledger, account: Account) -> Iterator[Assumption
 def _independent(
     ledger: Ledger, account: Account, noisy: Set[str], values: Mapping[str, int | float | str]
 ) -> Assumption:
-    """Return the assumption that rollouts are independent; `values` has how many agree bit by bit.
-
-    By rules before 4 any of these refutes it, be it of a result that independent rollouts repeat.
-    """
+    """Return the assumption that rollouts are independent; `values` has how many agree bit by bit."""
     name, copied = f"independent_rollouts/{account.plan.key}", values["copies"]
-    if not copied or ledger.header.rules < 4:
-        return assumption(name, "refuted" if copied else "assumed", values)
+    if not copied:
+        return assumption(name, "assumed", values)
     found = tested_copies(account, noisy, ledger.recorded.trajectory)
     tested = {**values, "evidence": found.evidence, "threshold": 1 / LEVEL, "level": LEVEL}
     if found.refuted:

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from ...schemas import __version__
 from ...schemas.certificate import Assumption, Certificate, SpotCheckedProblem, Status
 from ...schemas.problems import OBJECTIVES
-from ...schemas.rules import RULES
 
 EDITED = "(the certificate was edited: this assumption has no such form, status and values; verify it.)"
 SIGNIFICANT = 6
@@ -204,10 +203,6 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "copies {evidence}, {threshold} would refute); that the simulator draws its noise from the seed alone is "
         "assumed.",
     },
-    "independent_rollouts_1": {
-        "derived": "the {rollouts} rollouts have different seeds, and those of one start differ in nothing else; of "
-        "the noise, the bound needs only this and the clip.",
-    },
     "one_law_per_start": {
         "refuted": "later rollouts of a start rank above or below its earlier ones (evidence {e_value} against "
         "{threshold}, a false alarm of probability {level}): the simulator drifts, so its rollouts have no single law.",
@@ -296,10 +291,6 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "derived": "all {rollouts} rollouts behind the bounds are finite: a rollout that never becomes finite ends the "
         "campaign without a certificate.",
     },
-    "finite_rollouts_1": {
-        "derived": "all {rollouts} rollouts behind the bounds are finite, and none was dropped or repeated because of "
-        "its outcome: a rollout that never becomes finite ends the campaign without a certificate.",
-    },
     "independence": {
         "derived": "the probabilities of nominal_robustness and sim_gap are multiplied: each problem proposes and "
         "stops from its own observations alone, and its rollouts have their own seeds.",
@@ -366,11 +357,6 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "scales, kernels, prior means, constants, replicates, budgets, software and the seed are assumed to be chosen "
         "without knowledge of rollouts with these seeds.",
     },
-    "fixed_beforehand_1": {
-        "assumed": "norm bounds, noise scales, kernels, prior means, constants, replicates, budgets and the seed are "
-        "assumed to be chosen without knowledge of rollouts with these seeds: a campaign file that was changed after "
-        "its results were known needs a new seed.",
-    },
     "fixed_beforehand_extended": {
         "assumed": "specification, clip, risk weight, starts, alpha, delta, composition, window, norm bounds, noise "
         "scales, kernels, prior means, constants, replicates, first budgets, software and the seed are assumed to be "
@@ -423,9 +409,9 @@ def is_in_its_words(found: Assumption) -> bool:
     return found.detail == _own_sentence(found)
 
 
-def is_worded_here(rules: int | None, software: Mapping[str, str]) -> bool:
+def is_worded_here(software: Mapping[str, str]) -> bool:
     """Whether a certificate is of this version, which has one sentence for a form and its values."""
-    return rules == RULES and software.get("perfbound") == __version__
+    return software.get("perfbound") == __version__
 
 
 def in_own_words(found: Certificate) -> Certificate:
@@ -434,7 +420,7 @@ def in_own_words(found: Certificate) -> Certificate:
     Its file is anyone's, and may have been edited; `verify` says so.
     """
     predicate = found.predicate
-    if not is_worded_here(predicate.rules, predicate.software):
+    if not is_worded_here(predicate.software):
         return found
     own = tuple(each.model_copy(update={"detail": _own_sentence(each) or EDITED}) for each in predicate.assumptions)
     return found.model_copy(update={"predicate": predicate.model_copy(update={"assumptions": own})})

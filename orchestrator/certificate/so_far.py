@@ -105,17 +105,16 @@ class AuditSoFar:
 
         None while a problem that this claim follows from has no bound; the others may have none.
         """
-        config, methods, rules = self.ledger.config, self.ledger.methods, self.ledger.header.rules
+        config, methods = self.ledger.config, self.ledger.methods
         accounts = {key: account for key, account in accounts.items() if self._has_bound(account)}
         first = bases(config)[:1]
         if not set(first[0].problems) <= accounts.keys():
             return None
         plans = {key: account.plan for key, account in accounts.items()}
-        results: Results = {key: result(_as_ended(account), rules) for key, account in accounts.items()}
+        results: Results = {key: result(_as_ended(account)) for key, account in accounts.items()}
         made = claims(config, plans, results, methods, found, at_each_start=False, first_alone=True).claims
-        if rules >= 2:
-            results = with_clip(results, config)
-            made = of_listed_starts(without_rollouts(made, config, plans, results), first, plans)
+        results = with_clip(results, config)
+        made = of_listed_starts(without_rollouts(made, config, plans, results), first, plans)
         # Nothing else is asked of it: it is no certificate, and has no evidence. Its closing checks are still to come.
         content: dict[str, Any] = {"claims": made, "problems": tuple(results.values()), "assumptions": tuple(found)}
         content |= {"counterexample": None, "spot_check": None}

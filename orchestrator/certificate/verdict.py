@@ -173,7 +173,7 @@ def _shown(header: Header, predicate: Predicate, required: Required) -> VerdictF
 
 
 def _is_contradicted(header: Header, claim: CertificateClaim, violations: Violations) -> bool:
-    """Whether one rollout without noise is below the bound: certificates of before rules 4 say so nowhere."""
+    """Whether one rollout without noise is below the bound."""
     if violations.least is None or not is_deterministic(header) or claim.quantity not in WORST or claim.requirement:
         return False
     return violations.least < claim.bound - SAME

@@ -115,7 +115,7 @@ def _other_build(request: RolloutRequest, spec: SystemSpec, system: str | None) 
         here = system_spec(system or spec.name, "SYSTEM")
     except PerfboundError:
         return None
-    if request.spec_sha256 in here.identities or not (differing := spec.differences(here)):
+    if request.spec_sha256 == here.digest or not (differing := spec.differences(here)):
         return None
     return PerfboundError(
         f"{spec.name} is another build than that of the campaign: {'; '.join(differing)}; use that one"

@@ -183,7 +183,7 @@ class Problem:
     clipped: tuple[float, float] | None = None
     """The clip that its words have to name; None where the clip hides nothing."""
     starts: int | None = None
-    """Number of listed starts, since rules 2; None on a box."""
+    """Number of listed starts; None on a box."""
     drawn: Drawn | None = None
     """Where starts are drawn: `tests.y` is then the robustness, in the unit of this, whatever is bounded."""
     requirements: tuple[Drawn, ...] = ()

@@ -122,12 +122,10 @@ class ProblemCollector:
         now = self._bound if last else None
         stopped_by = result.stopped_by if result else self._stopped_by(last)
         bound = result.bound if result else signed(now.upper if now else None, self._sense)
-        rules = self._header.rules
-        later = rules >= 2  # the bound is then never weaker than the clip, as in the certificate
-        limit = by_clip(self._config, problem) if later else None
+        limit = by_clip(self._config, problem)  # the bound is never weaker than the clip, as in the certificate
         return Problem(
             name=problem.name,
-            objective=typeset(result.objective if result else objective(self.plan, rules, bound)),
+            objective=typeset(result.objective if result else objective(self.plan, bound)),
             quantity=self.plan.statement.quantity,
             method=problem.method,
             sense=self._sense,
@@ -157,7 +155,7 @@ class ProblemCollector:
             by_clip=limit,
             clipped=self.plan.hidden_by(bound=bound),
             warnings=self._warnings,
-            starts=self.plan.listed if rules > 1 else None,
+            starts=self.plan.listed,
             drawn=self._drawn[0] if self._drawn else None,
             requirements=tuple(self._drawn[1:]),
             requirement=self.plan.requirement,

@@ -20,7 +20,7 @@ from .session import RunOptions, reopened
 def give_budget(directory: Path, options: RunOptions, console: Console, max_tests: int) -> None:
     """Extend the campaign in a run directory; raises as `extend_campaign`, and as a resume where it cannot continue."""
     # As every resume: where its software is missing, an extended campaign could not continue.
-    with reopened(directory, options, console) as (journal, _):
+    with reopened(directory, options) as (journal, _):
         extended = extend_campaign(directory, journal, max_tests)
     if extended is not None:
         text = f"{extension_words(extended, max_tests)}; what the certificate so far consists of is kept beside"

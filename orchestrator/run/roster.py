@@ -138,7 +138,7 @@ class Roster:
                 "run `perfbound systems` there, and install what is missing, or start it with --system FILE.py:NAME"
             )
             return f"the worker has no system {spec.name!r}; {remedy}"
-        if self._spec_sha256 not in state.systems[spec.name]:
+        if self._spec_sha256 != state.systems[spec.name]:
             # Another build may give other trajectories for the same seed; one certificate names one build.
             what = _what_differs(spec, state.parts.get(spec.name))
             return f"the worker's {spec.name!r} has {what} than the campaign's; use the same on both"

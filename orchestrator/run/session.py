@@ -154,7 +154,7 @@ def resume_campaign(directory: Path, options: RunOptions, console: Console, max_
     link = options.link
     with (
         live_page(link.web, directory, console, insecure=link.insecure) as page,
-        reopened(directory, options, console) as (journal, reference),
+        reopened(directory, options) as (journal, reference),
     ):
         check_workers(journal.header.spec, options.own, directory)
         if options.own is not None:
@@ -183,7 +183,7 @@ def created(directory: Path, header: Header, origin: Origin) -> Iterator[Journal
 
 
 @contextmanager
-def reopened(directory: Path, options: RunOptions, console: Console) -> Iterator[tuple[Journal, str]]:
+def reopened(directory: Path, options: RunOptions) -> Iterator[tuple[Journal, str]]:
     """Lock a run directory and open its journal, with the system as a worker finds it.
 
     Raises:
@@ -194,7 +194,7 @@ def reopened(directory: Path, options: RunOptions, console: Console) -> Iterator
         reference = child.resolved(options.system or read.system_reference(directory))
         with closing(Journal.open(directory, options.origin(reference), held)) as journal:
             _check_software(journal.header)
-            _check_code(journal.header, reference, options, console)
+            _check_code(journal.header, reference, options)
             yield journal, reference
 
 
@@ -255,7 +255,7 @@ def check_own(header: Header, spec: SystemSpec) -> None:
         JournalError: it is another one.
 
     """
-    if spec.digest_by(header.rules) != header.system_sha256:
+    if spec.digest != header.system_sha256:
         others = "; ".join(header.spec.differences(spec))
         raise JournalError(
             f"{spec.name}: not the function with which this campaign was started ({others}); give that one, or start a "
@@ -263,7 +263,7 @@ def check_own(header: Header, spec: SystemSpec) -> None:
         )
 
 
-def _check_code(header: Header, reference: str, options: RunOptions, console: Console) -> None:
+def _check_code(header: Header, reference: str, options: RunOptions) -> None:
     """Refuse a system with other sources than those of the campaign."""
     campaign, installed = header.spec, header.config.system.kind == "name"
     if campaign.repeated != "anywhere":  # no process but one has it, and nothing here could be compared
@@ -274,13 +274,7 @@ def _check_code(header: Header, reference: str, options: RunOptions, console: Co
     if installed and not options.workers:
         return  # the workers have it, and are compared when they arrive
     found = child.system_spec(reference, "--system")
-    unnamed = {"sources": not campaign.code, "packages": bool(found.versions) and not campaign.versions}
-    if missing := " and ".join(what for what, absent in unnamed.items() if absent):
-        text = f"this campaign does not name the {missing} of {campaign.name}: whether they are the same is not known"
-        console.print(Text(text), soft_wrap=True)
-    if not campaign.code:
-        return
-    if found.code != campaign.code or header.system_sha256 not in found.identities:
+    if found.digest != header.system_sha256:
         others = "; ".join(campaign.differences(found))
         remedy = "with the version of then" if installed else "with the files of then (--system, if they are elsewhere)"
         raise JournalError(

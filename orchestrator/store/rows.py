@@ -1,6 +1,5 @@
 """Rows of the campaign database as facts, and facts as rows; without SQL, for every way of reading."""
 
-import hashlib
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -125,17 +124,14 @@ def _parsed_header(directory: Path, rows: Sequence[Any]) -> Header:
     if len(rows) != 1:
         raise ValueError("there are several" if rows else "it is missing")
     row = rows[0]
-    rules = check_rules(getattr(row, "rules", 1), str(directory / DATABASE))
+    software = json.loads(row.software)
+    rules = check_rules(row.rules, software, str(directory / DATABASE))
     config, spec = CampaignConfig.model_validate_json(row.config), SystemSpec.model_validate_json(row.system)
-    config_sha256, system_sha256 = config.digest, spec.digest_by(rules)
-    # Rules 1: those of the stored texts, because parsing may add keys that this version has and the writer had not.
-    if rules == 1:
-        config_sha256, system_sha256 = (hashlib.sha256(text.encode()).hexdigest() for text in (row.config, row.system))
-    if config_sha256 != row.config_sha256:
+    if config.digest != row.config_sha256:
         raise ValueError("the campaign file is another one")
     if (row.name, row.seed) != (config.name, config.seed):
         raise ValueError("name or seed are not the file's")
-    return Header(row.run, config, spec, json.loads(row.software), config_sha256, system_sha256, rules)
+    return Header(row.run, config, spec, software, config.digest, spec.digest, rules)
 
 
 def proposal_fact(row: Any) -> ProposalFact:

@@ -347,7 +347,7 @@ def open_study(directory: Path, config: CampaignConfig | None = None, system: Gi
                 raise PerfboundError(f"{directory}: another campaign is here ({found}); choose another `out`")
             # No worker: of an installed system nothing is compared: the caller has it.
             options = replace(_BY_HAND, system=system.reference if system else None)
-            journal, _ = stack.enter_context(session.reopened(directory, options, SILENT))
+            journal, _ = stack.enter_context(session.reopened(directory, options))
             _check_opinions(journal.header.config)
             if system is not None and system.spec.repeated != "anywhere":
                 session.check_own(journal.header, system.spec)

@@ -180,7 +180,7 @@ def eventually(condition: Callable[[], bool]) -> None:
 
 def a_state(worker: str, **changes: object) -> WorkerState:
     state = WorkerState(
-        protocol=PROTOCOL, version="1", worker=worker, host="h", pid=1, systems={"s": ("d",)}, state="idle"
+        protocol=PROTOCOL, version="1", worker=worker, host="h", pid=1, systems={"s": "d" * 64}, state="idle"
     )
     return state.model_copy(update=changes)
 

@@ -22,7 +22,7 @@ from tests.end_to_end.processes import (
     write_campaign,
 )
 
-OLDER = Path(__file__).parents[1] / "fixtures" / "schema-1"
+FINISHED = Path(__file__).parents[1] / "fixtures" / "finished" / "paper"
 
 
 @pytest.fixture(scope="module")
@@ -122,21 +122,9 @@ def test_a_finished_campaign_prints_its_certificate_and_changes_nothing(started:
     assert contents(directory) == before
 
 
-def test_a_campaign_of_an_older_perfbound_is_read(started: Processes, tmp_path: Path) -> None:
-    """It was written before the campaign file had `refine`; its digests are those of then."""
-    directory = tmp_path / "run"
-    shutil.copytree(OLDER, directory)
-    before = contents(directory)
-    for command in ("status", "resume"):
-        ended = started.run("perfbound", command, directory)
-        assert ended.code == 0, ended.err
-        assert "CLAIM  J* " in ended.out
-    assert contents(directory) == before
-
-
 def test_a_database_of_a_newer_perfbound_is_refused(started: Processes, tmp_path: Path) -> None:
     directory = tmp_path / "run"
-    shutil.copytree(OLDER, directory)
+    shutil.copytree(FINISHED, directory)
     (directory / "certificate.json").unlink()
     with closing(sqlite3.connect(directory / "campaign.db", isolation_level=None)) as connection:
         connection.execute("DROP TRIGGER schema_no_update")

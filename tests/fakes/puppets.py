@@ -139,7 +139,7 @@ class Puppets:
             host="memory",
             platform=platform_class(),
             pid=1,
-            systems={self._spec.name: self._spec.identities},
+            systems={self._spec.name: self._spec.digest},
             state="busy" if assign else "idle",
             rollout=assign.request.rollout if assign else None,
             attempt=assign.attempt if assign else None,

@@ -116,7 +116,7 @@ def test_trajectory_files(visual: bool) -> None:
 
 
 def test_certificates(tmp_path: Path) -> None:
-    whole = (FIXTURES / "rules-1" / "rigorous-pair" / files.CERTIFICATE).read_bytes()
+    whole = (FIXTURES / "finished" / "rigorous" / files.CERTIFICATE).read_bytes()
     path = tmp_path / files.CERTIFICATE
 
     def attempt(luck: random.Random) -> None:
@@ -135,7 +135,7 @@ def test_certificates(tmp_path: Path) -> None:
 
 
 def test_manifests() -> None:
-    whole = (FIXTURES / "rules-1" / "rigorous-pair" / files.MANIFEST).read_bytes()
+    whole = (FIXTURES / "finished" / "rigorous" / files.MANIFEST).read_bytes()
 
     def attempt(luck: random.Random) -> None:
         given = mutated(luck, whole).decode(errors="replace")
@@ -176,9 +176,9 @@ def replayed(directory: Path) -> None:
         ledger.replay()
 
 
-@pytest.mark.parametrize("fixture", ["schema-1", "schema-3"])
+@pytest.mark.parametrize("fixture", ["paper", "kriging"])
 def test_databases(tmp_path: Path, fixture: str) -> None:
-    whole = (FIXTURES / fixture / DATABASE).read_bytes()
+    whole = (FIXTURES / "finished" / fixture / DATABASE).read_bytes()
 
     def attempt(luck: random.Random) -> None:
         directory = tmp_path / "run"
@@ -192,7 +192,7 @@ def test_databases(tmp_path: Path, fixture: str) -> None:
 
 def test_every_byte_of_the_schema_of_a_database(tmp_path: Path) -> None:
     """The first page, which has the header of the file and the texts of the schema, in steps."""
-    whole = (FIXTURES / "schema-3" / DATABASE).read_bytes()
+    whole = (FIXTURES / "finished" / "kriging" / DATABASE).read_bytes()
 
     def attempt(luck: random.Random) -> None:
         directory, changed = tmp_path / "run", bytearray(whole)
@@ -208,7 +208,7 @@ def test_every_byte_of_the_schema_of_a_database(tmp_path: Path) -> None:
 def test_verify(tmp_path: Path) -> None:
     def attempt(luck: random.Random) -> None:
         directory = tmp_path / "run"
-        shutil.copytree(FIXTURES / "schema-1", directory)
+        shutil.copytree(FIXTURES / "finished" / "rigorous", directory)
         chosen = luck.choice(sorted(path for path in directory.rglob("*") if path.is_file()))
         chosen.write_bytes(luck.choice((flipped, mutated))(luck, chosen.read_bytes()))
         with suppress(PerfboundError):

@@ -60,20 +60,19 @@ def compared(header: Header, reissued: Certificate, certificate: Certificate) ->
         if fault or detail:
             yield name, fault, detail
     assumptions = reissued.predicate.assumptions, certificate.predicate.assumptions
-    worded_here = is_worded_here(header.rules, header.software)
-    yield "audit", *_audit(*assumptions, header.rules, worded_here=worded_here)
+    worded_here = is_worded_here(header.software)
+    yield "audit", *_audit(*assumptions, worded_here=worded_here)
 
 
 def _audit(
-    recomputed: Sequence[Assumption], recorded: Sequence[Assumption], rules: int, *, worded_here: bool
+    recomputed: Sequence[Assumption], recorded: Sequence[Assumption], *, worded_here: bool
 ) -> tuple[str | None, str]:
     """Compare ids, statuses, values and sentences; return the fault or None, and the detail."""
     ids, recorded_ids = ([[each.id, each.status] for each in side] for side in (recomputed, recorded))
     fault = compare.difference(ids, recorded_ids, "assumptions")
     pairs = list(zip(recomputed, recorded, strict=False))
     for ours, found in pairs:
-        # The first certificates have no values; the status follows from the data all the same.
-        if fault is None and (found.values is not None or rules > 1):
+        if fault is None:
             fault = compare.difference(ours.values, found.values, ours.id, tolerance=compare.SIX_DIGITS)
     if worded_here and fault is None:
         forms, recorded_forms = ([each.form for each in side] for side in (recomputed, recorded))

@@ -89,10 +89,9 @@ class Rerun:
             self._first.setdefault(rollout[:2], rollout)
         self._columns = tuple(column.name for column in header.spec.columns)
         self._store = MemoryFactStore(header)
-        begins = {rollout.problem for rollout in entries}.__contains__
         self.ties = 0
         """Tests for which this machine chooses another one of equal value."""
-        self.ledger = Ledger(directory, self._store, files=NullFileStore(), follow=self._follow, begins=begins)
+        self.ledger = Ledger(directory, self._store, files=NullFileStore(), follow=self._follow)
 
     @property
     def facts(self) -> list[Fact]:

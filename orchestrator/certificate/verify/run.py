@@ -17,7 +17,6 @@ from ....schemas.errors import JournalError, Stopped
 from ....schemas.facts import Header, ObservationFact, ProposalFact
 from ....schemas.ids import RolloutId
 from ....schemas.rollout import RolloutRequest
-from ....schemas.rules import RULES
 from ...campaign.checks import check
 from ...campaign.ledger import observed_discards
 from ...campaign.software import other_numerics
@@ -170,13 +169,12 @@ def _header(directory: Path, certificate: Certificate, checks: Checks) -> Header
         "config_sha256": header.config_sha256,
         "system_sha256": header.system_sha256,
     }
-    # A certificate of an earlier perfbound has no digest of the system; the requests and the chain cover it.
-    if certificate.predicate.campaign.system_sha256 is None and header.rules == 1:
-        campaign["system_sha256"] = None
-    expected = {"campaign": campaign, "software": header.software, "question": question(header)}
-    # It names no rules either: it follows rules 1.
-    if recorded["rules"] is not None or header.rules != 1:
-        expected["rules"] = header.rules
+    expected = {
+        "campaign": campaign,
+        "software": header.software,
+        "question": question(header),
+        "rules": header.rules,
+    }
     fault = compare.difference(expected, {key: recorded[key] for key in expected}, tolerance=0.0)
     if fault:
         raise CheckFailed("header", fault)
@@ -188,8 +186,6 @@ def _header(directory: Path, certificate: Certificate, checks: Checks) -> Header
 
 def _of(header: Header) -> str:
     """Return what a campaign of another version does without."""
-    if header.rules != RULES:
-        return f"; by rules {header.rules}, which this version replaced by {RULES}: its sentences are not compared"
     if (theirs := header.software.get("perfbound")) != __version__:
         return f"; of perfbound {theirs}, this one is {__version__}: its sentences are not compared"
     return ""

@@ -1,20 +1,15 @@
 """What the fresh starts of the spot check show of gaps and of the clip."""
 
 import json
-from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from perfbound.orchestrator.certificate import files, text
-from perfbound.orchestrator.run.extend import extend_campaign
 from perfbound.orchestrator.run.verdict import verdict_of
-from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.read import stored_header
 from perfbound.schemas.campaign import CampaignConfig
-from perfbound.schemas.facts import Header
 from perfbound.schemas.rollout import RolloutRequest
 from tests.fakes.simulators import noise, predicate, robustness, simulate, spec, statuses, verified
 
@@ -87,23 +82,6 @@ def test_a_gap_that_dominates_is_not_refuted(tmp_path: Path) -> None:
     assert statuses(simulate(tmp_path, config, narrow, noisy=False, system=system))[DOMINATED] == "assumed"
 
 
-def test_a_campaign_of_rules_3_keeps_what_it_was_and_may_be_extended(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Nothing tested the pairs of the spot check then, and its extension is a fact."""
-    new = Header.new
-    monkeypatch.setattr(Header, "new", staticmethod(lambda *given, **more: replace(new(*given, **more), rules=3)))
-    system = spec(noisy=False).model_copy(update={"variants": ("nominal", "true")})
-    found = simulate(tmp_path, composed(), narrow, noisy=False, system=system)
-    assert (statuses(found)[DOMINATED], predicate(found)["rules"]) == ("assumed", 3)
-    assert not verified(tmp_path)
-    with closing(Journal.open(tmp_path)) as journal:
-        assert extend_campaign(tmp_path, journal, 9)
-    again = simulate(tmp_path, composed(), narrow, noisy=False, system=system)
-    assert statuses(again)[DOMINATED] == "assumed"
-    assert not verified(tmp_path)
-
-
 RIGOROUS = {"method": "rigorous", "alpha": 0.1, "rkhs_norm": 0.5, "prior_mean": -0.3, "kernel": {"length_scale": 0.7}}
 
 
@@ -160,21 +138,3 @@ def test_what_is_claimed_of_means_at_most_starts_names_the_clip(tmp_path: Path, 
     (note,) = (each for each in text.notes(certificate.predicate, 0) if each.startswith("Without a kernel: "))
     words = "the expected robustness, clipped to [-0.2, 1], is" if noisy else "the robustness is"
     assert f"{words} at least 0." in note
-
-
-@pytest.mark.parametrize("key", ["values", "system_sha256"])
-def test_a_certificate_without_what_its_rules_have_does_not_verify(tmp_path: Path, key: str) -> None:
-    """The sentence beside the claim follows from these values: without them it would be gone."""
-    config = robustness({**RIGOROUS, "noise_scale": 0.0}, clip=[-0.2, 1.0], max_tests=8)
-    assert simulate(tmp_path, config, lambda _: 0.5, noisy=False)
-    certificate = files.read(tmp_path)
-    assert certificate is not None
-    found = certificate.predicate
-    less = [
-        each.model_copy(update={"values": None}) if each.id == "clip/robustness" else each for each in found.assumptions
-    ]
-    campaign = found.campaign.model_copy(update={"system_sha256": None})
-    changes: dict[str, Any] = {"assumptions": tuple(less)} if key == "values" else {"campaign": campaign}
-    edited = certificate.model_copy(update={"predicate": found.model_copy(update=changes)})
-    (tmp_path / files.CERTIFICATE).write_text(edited.to_json())
-    assert verified(tmp_path) == ["audit" if key == "values" else "header"]

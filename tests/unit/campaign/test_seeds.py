@@ -13,12 +13,9 @@ from perfbound.workers.systems import load_system
 from tests.campaigns import config
 
 PROBLEMS = ("nominal_robustness", "sim_gap")
-GOLDEN = {
-    1: [6121951589640100, 7505485939480075, 1284382602483127],
-    2: [4685279568859548, 4120374171100042, 3904387885288489],
-}
+GOLDEN = [4685279568859548, 4120374171100042, 3904387885288489]
 SHORT = [3555178937, 1209646203, 631762417]
-GOLDEN_NODES = {1: [6, 415], 2: [356, 74]}
+GOLDEN_NODES = [356, 74]
 
 
 def header(**changes: object) -> Header:
@@ -29,21 +26,19 @@ def header(**changes: object) -> Header:
 PAPER = header()
 
 
-@pytest.mark.parametrize("rules", [1, 2])
-def test_every_rollout_has_its_own_seed_below_2_to_53(rules: int) -> None:
+def test_every_rollout_has_its_own_seed_below_2_to_53() -> None:
     ids = [RolloutId(*key) for key in itertools.product(PROBLEMS, range(50), ("nominal", "true"), range(3))]
-    seeds = [rollout_seed(replace(PAPER, rules=rules), rollout) for rollout in ids]
+    seeds = [rollout_seed(PAPER, rollout) for rollout in ids]
     assert len(set(seeds)) == len(ids)
     assert all(0 <= seed < 2**53 for seed in seeds)
 
 
-@pytest.mark.parametrize("rules", [1, 2])
-def test_seeds_stay_what_they_were(rules: int) -> None:
+def test_seeds_stay_what_they_were() -> None:
     # A change here changes every certificate that anyone wants to reproduce.
-    fixed = replace(PAPER, rules=rules, config_sha256="1234" * 16)
+    fixed = replace(PAPER, config_sha256="1234" * 16)
     seeds = [rollout_seed(fixed, RolloutId("sim_gap", test, "true", 0)) for test in range(3)]
-    assert seeds == GOLDEN[rules]
-    assert [first_node(fixed, name, 441) for name in PROBLEMS] == GOLDEN_NODES[rules]
+    assert seeds == GOLDEN
+    assert [first_node(fixed, name, 441) for name in PROBLEMS] == GOLDEN_NODES
 
 
 def short(bits: int = 32, **changes: Any) -> Header:
@@ -86,7 +81,6 @@ def test_short_seeds_look_drawn() -> None:
 def test_short_seeds_stay_what_they_were() -> None:
     fixed = replace(short(), config_sha256="1234" * 16)
     assert [rollout_seed(fixed, RolloutId("sim_gap", test, "true", 0)) for test in range(3)] == SHORT
-    assert rollout_seed(replace(fixed, rules=1), RolloutId("sim_gap", 0, "true", 0)) == GOLDEN[1][0]
 
 
 @pytest.mark.parametrize("change", [{"seed": 2}, {"max_tests": 7}, {"replicates": 3}])
@@ -110,11 +104,6 @@ def test_a_key_that_decides_no_number_changes_no_seed(key: str) -> None:
 
 def test_a_key_at_its_default_is_as_good_as_left_out() -> None:
     assert header(max_tests=2000, resolution=21).config_sha256 == header().config_sha256
-
-
-def test_by_rules_1_the_seed_alone_decides() -> None:
-    rollout, other = RolloutId("sim_gap", 0, "true", 0), header(risk_weight=0.3)
-    assert rollout_seed(replace(PAPER, rules=1), rollout) == rollout_seed(replace(other, rules=1), rollout)
 
 
 def test_first_nodes_are_spread_over_the_lattice() -> None:

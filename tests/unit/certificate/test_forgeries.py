@@ -174,8 +174,8 @@ FORGERIES = {
     "a larger bound": Forgery(certificate(lambda p: p["claims"][0].update(bound=0.9)), "claims"),
     "a larger probability": Forgery(certificate(lambda p: p["claims"][0].update(probability=0.999)), "probabilities"),
     "another question": Forgery(certificate(lambda p: p["question"].update(specification="always (y <= 2)")), "header"),
-    "lower rules in the certificate": Forgery(certificate(lambda p: p.update(rules=2)), "header"),
-    "lower rules everywhere": Forgery(
+    "other rules in the certificate": Forgery(certificate(lambda p: p.update(rules=2)), "header"),
+    "other rules everywhere": Forgery(
         both(sql("UPDATE campaign SET rules = 2"), certificate(lambda p: p.update(rules=2))), "audit"
     ),
     "another campaign file": Forgery(sql("UPDATE campaign SET config = replace(config, '<= 1', '<= 2')"), "header"),

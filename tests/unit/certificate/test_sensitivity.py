@@ -195,23 +195,15 @@ def test_an_edit_of_it_fails(edit: str, original: Path, tmp_path: Path) -> None:
     assert [found.name for found in check(directory).lines() if found.status == "failed"] == [line]
 
 
-@pytest.mark.parametrize("name", ["paper-pair", "rigorous-pair", "scenario-list"])
-def test_a_campaign_of_rules_1_has_none_of_it(name: str) -> None:
-    text = (FIXTURES / "rules-1" / name / files.CERTIFICATE).read_text()
-    for key in ("sensitivity", "without_data", "vacuous", "by_clip"):
-        assert key not in text
-    assert check(FIXTURES / "rules-1" / name).good
-    assert Certificate.model_validate_json(text).to_json() == text
-
-
 def a_claim(**values: Any) -> Predicate:
     claim = CertificateClaim(
         quantity="rho_star", sense=">=", bound=0.5, probability=0.95, rule="single", method="rigorous",
         assumptions=(), refuted=(), by_clip=-0.06, vacuous=False, without_data=0.46,
     ).model_copy(update=values)  # fmt: skip
     return Predicate(
-        question={}, campaign=CampaignId(name="c", seed=1, config_sha256=""), claims=(claim,), problems=(),
-        composition=None, assumptions=(), evidence=Evidence(manifest_sha256="", chain_head="", rollouts=0), software={},
+        question={}, campaign=CampaignId(name="c", seed=1, config_sha256="", system_sha256=""), claims=(claim,),
+        problems=(), composition=None, assumptions=(), software={}, rules=1,
+        evidence=Evidence(manifest_sha256="", chain_head="", rollouts=0),
     )  # fmt: skip
 
 

@@ -359,13 +359,14 @@ def finished(directory: Path) -> Path:
     digest = hashlib.sha256(MANIFEST.encode()).hexdigest()
     predicate = Predicate(
         question={},
-        campaign=CampaignId(name="c", seed=1, config_sha256="0" * 64),
+        campaign=CampaignId(name="c", seed=1, config_sha256="0" * 64, system_sha256="0" * 64),
         claims=(claim,),
         problems=(),
         composition=None,
         assumptions=(),
         evidence=Evidence(manifest_sha256=digest, chain_head="0" * 64, rollouts=1),
         software={},
+        rules=1,
     )
     subject = Subject(name=files.MANIFEST, digest={"sha256": digest})
     directory.mkdir()

@@ -56,13 +56,14 @@ def a_certificate(*assumptions: Assumption) -> Certificate:
     )
     predicate = Predicate(
         question={},
-        campaign=CampaignId(name="c", seed=1, config_sha256="0"),
+        campaign=CampaignId(name="c", seed=1, config_sha256="0", system_sha256="0"),
         claims=(claim,),
         problems=(problem,),
         composition=None,
         assumptions=assumptions,
         evidence=Evidence(manifest_sha256="0", chain_head="0", rollouts=3),
         software={},
+        rules=1,
     )
     return Certificate(subject=(), predicate=predicate)
 

@@ -50,7 +50,7 @@ FILE = run_request(REQUEST, lambda _: None)
 COLUMNS = tuple(column.name for column in SPEC.columns)
 NAME = REQUEST.rollout
 STATE = WorkerState(
-    protocol=PROTOCOL, version="1", worker="w", host="h", pid=1, systems={"s": ("d",)}, state="busy", rollout=NAME
+    protocol=PROTOCOL, version="1", worker="w", host="h", pid=1, systems={"s": "d" * 64}, state="busy", rollout=NAME
 )
 HEADER = ResultHeader(rollout=NAME, attempt=1, worker="w", outcome="failed", error="it raised", kind="system")
 HEADER_BYTES = encode_message(HEADER)

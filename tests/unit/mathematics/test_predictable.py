@@ -121,7 +121,7 @@ class TestChoice:
         assert [values[best_expected(values, 0.1, 0.0, 0.05)] for values in found] == [0.2, 0.2]
         assert [values[sample_quantile(values, 0.1, 0.0, 0.05)] for values in found] == [0.9, 0.2]
 
-    def test_the_bound_of_the_sample_quantile_is_that_of_earlier_certificates(self) -> None:
+    def test_the_bound_of_the_sample_quantile(self) -> None:
         values = [0.6 + 0.001 * (j * 37 % 100) for j in range(400)]
         assert of(values, 0.1, choice=sample_quantile).lower() == 0.55493164
 

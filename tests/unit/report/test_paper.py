@@ -155,13 +155,14 @@ def a_predicate(
     terms = CompositionTerms(rule=rule, nominal_bound=0, gap_bound=0, lipschitz=1, gap_term=0, risk_term=0, bound=bound)
     return Predicate(
         question={},
-        campaign=CampaignId(name="c", seed=seed, config_sha256="0"),
+        campaign=CampaignId(name="c", seed=seed, config_sha256="0", system_sha256="0"),
         claims=(claim,),
         problems=tuple(problems),
         composition=None if rule == "single" else terms,
         assumptions=(),
         evidence=Evidence(manifest_sha256="0", chain_head="0", rollouts=3),
         software={},
+        rules=1,
     )
 
 

@@ -325,7 +325,7 @@ def test_a_process_that_a_message_claims_is_not_ended(tmp_path: Path) -> None:
             host=os.uname().nodename,
             platform=platform_class(),
             pid=own.pid,
-            systems={"test-function": load_system("test-function").spec.identities},
+            systems={"test-function": load_system("test-function").spec.digest},
             state="idle",
         )
         server._take(Token(0.0, "stranger-1", alive=True))

@@ -12,7 +12,7 @@ from perfbound.schemas.errors import PerfboundError
 from perfbound.schemas.rollout import RolloutRequest
 from tests.fakes.simulators import robustness, simulate, spec
 
-FIXTURES = Path(__file__).parents[2] / "fixtures" / "rules-1"
+FIXTURES = Path(__file__).parents[2] / "fixtures" / "finished"
 RIGOROUS = {"method": "rigorous", "alpha": 0.1, "rkhs_norm": 2.0, "noise_scale": 0.0, "kernel": {"length_scale": 0.7}}
 
 
@@ -72,8 +72,8 @@ def test_columns_are_aligned_and_ages_said(folder: Path) -> None:
 
 
 def test_a_refuted_bound_does_not_look_like_a_good_one(tmp_path: Path) -> None:
-    shutil.copytree(FIXTURES / "paper-pair", tmp_path / "refuted")
-    shutil.copytree(FIXTURES / "scenario-list", tmp_path / "good")
+    shutil.copytree(FIXTURES / "paper", tmp_path / "refuted")
+    shutil.copytree(FIXTURES / "scenario", tmp_path / "good")
     found = {each.directory.name: each for each in campaigns_below(tmp_path)}
     assert (found["refuted"].refuted, found["good"].refuted) == (True, False)
     _, *rows = (row.plain for row in listing([found["refuted"], found["good"]], now=0.0))

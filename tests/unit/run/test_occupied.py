@@ -10,7 +10,7 @@ from perfbound.orchestrator.run.directory import check_vacant
 from perfbound.orchestrator.store.read import stored_header
 from perfbound.schemas.errors import PerfboundError
 
-FINISHED = Path(__file__).parents[2] / "fixtures" / "rules-1" / "scenario-list"
+FINISHED = Path(__file__).parents[2] / "fixtures" / "finished" / "scenario"
 
 
 def test_a_finished_campaign_has_nothing_to_continue(tmp_path: Path) -> None:

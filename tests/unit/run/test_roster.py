@@ -16,7 +16,7 @@ SPEC = load_system("test-function").spec
 
 
 def state_of(worker: str) -> WorkerState:
-    systems = {SPEC.name: SPEC.identities}
+    systems = {SPEC.name: SPEC.digest}
     return WorkerState(
         protocol=PROTOCOL, version=__version__, worker=worker, host="h", pid=1, systems=systems, state="idle"
     )
@@ -74,7 +74,7 @@ def test_a_refusal_says_in_one_short_sentence_what_differs(
     roster = Roster(ours, ANY)
     roster.token(Token(0.0, "w", alive=True))
     state = state_of("w").model_copy(
-        update={"systems": {SPEC.name: theirs.identities}, "parts": {SPEC.name: tuple(theirs.parts)}}
+        update={"systems": {SPEC.name: theirs.digest}, "parts": {SPEC.name: tuple(theirs.parts)}}
     )
     reason = roster.refusal(Heartbeat(0.0, "w", state))
     assert reason == f"the worker's 'test-function' has {what} than the campaign's; use the same on both"

@@ -635,7 +635,7 @@ class Puppets:
             host="h",
             platform=platform_class(),
             pid=1,
-            systems={"test-function": load_system("test-function").spec.identities},
+            systems={"test-function": load_system("test-function").spec.digest},
             state="busy" if assign else "idle",
             rollout=assign.request.rollout if assign else None,
             attempt=assign.attempt if assign else None,

@@ -14,7 +14,7 @@ ACK = Ack(rollout="maximum.0.true.0", attempt=1)
 
 def a_state(**changes: object) -> WorkerState:
     state = WorkerState(
-        protocol=PROTOCOL, version="1", worker="w", host="h", pid=1, systems={"s": ("d",)}, state="idle"
+        protocol=PROTOCOL, version="1", worker="w", host="h", pid=1, systems={"s": "d" * 64}, state="idle"
     )
     return state.model_copy(update=changes)
 

@@ -163,14 +163,14 @@ DIGESTS = {
     "deploy/examples/cartpole/cartpole": "73f4d32151941100",
     "deploy/examples/pendulum/pendulum": "9ca9cb4ed16df842",
     "deploy/examples/pendulum/shell": "2e50eca709c6e1a8",
-    "tests/fixtures/rules-1/paper-pair": "6c016e8b80a390b4",
-    "tests/fixtures/rules-1/rigorous-pair": "cbe4195ccc95137a",
-    "tests/fixtures/rules-1/scenario-list": "c8d413e0a09ff3fd",
+    "tests/fixtures/finished/paper": "6c016e8b80a390b4",
+    "tests/fixtures/finished/rigorous": "cbe4195ccc95137a",
+    "tests/fixtures/finished/scenario": "c8d413e0a09ff3fd",
 }
 
 
 @pytest.mark.parametrize("name", DIGESTS)
-def test_the_identity_of_older_files_stays(name: str) -> None:
+def test_the_identity_of_a_file_stays(name: str) -> None:
     """Another digest is another campaign, with other seeds: it cannot be resumed."""
     assert load_campaign(ROOT / f"{name}.toml").digest[:16] == DIGESTS[name]
 
