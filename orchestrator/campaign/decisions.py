@@ -24,7 +24,7 @@ Follow = Callable[[str, int, Proposal, Callable[[Sequence[float]], Proposal | No
 
 
 UNOBSERVABLE = "; drop the rollout that is at fault with `perfbound discard`, then resume"
-"""The remedy for a test of which an older perfbound recorded what allows no observation."""
+"""The remedy for a test of which what was recorded allows no observation."""
 
 
 class Decider(Protocol):
