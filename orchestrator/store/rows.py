@@ -8,7 +8,7 @@ from typing import Any
 
 from ...schemas.base import canonical_json
 from ...schemas.campaign import CampaignConfig
-from ...schemas.errors import JournalError, one_line
+from ...schemas.errors import JournalError
 from ...schemas.facts import (
     NO_FAILURE,
     BoundFact,
@@ -65,7 +65,7 @@ def check_version(directory: Path, version: object) -> None:
 
     """
     if version != SCHEMA_VERSION:
-        found = "no schema version" if version is None else f"schema version {one_line(str(version)[:LONGEST_NUMBER])}"
+        found = "no schema version" if version is None else f"schema version {repr(version)[:LONGEST_NUMBER]}"
         raise JournalError(
             f"{directory / DATABASE}: {found}, this perfbound reads {SCHEMA_VERSION}; use the perfbound that wrote it"
         )

@@ -138,11 +138,6 @@ def test_the_result_is_last_and_does_not_hide_a_refuted_claim(campaign: Path, tm
     assert good.endswith("skipped")
 
 
-def test_a_certificate_of_an_earlier_perfbound() -> None:
-    """Its campaign file knew fewer keys."""
-    assert check(Path(__file__).parents[2] / "fixtures" / "schema-1").good
-
-
 def test_verifying_changes_nothing(campaign: Path) -> None:
     def look() -> dict[str, tuple[int, int]]:
         return {str(p): (p.stat().st_mtime_ns, p.stat().st_size) for p in campaign.rglob("*")}

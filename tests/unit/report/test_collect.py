@@ -606,7 +606,7 @@ def test_a_long_campaign_has_few_points(one: Path) -> None:
     statistics, about = WorkerStatistics(), ChangeReader(one).read().header
     outcomes = tuple(AttemptOutcome("r", 1, "w", "recorded", float(t), 0.5, 1.0) for t in range(5000))
     lost = AttemptOutcome("r", 1, "w", "hung", 5000.0, 0.0, 10.0)
-    session = Session("h", 0.0, None, None, None, None, None)
+    session = Session("h", 0.0, None, None, "x86", None, None)
     statistics.add(Changes(about, (), {}, (), (*outcomes, lost), {"w": "h"}, (session, session)))
     found = statistics.throughput()
     assert len(found.seconds) == len(found.recorded) == 200
