@@ -71,7 +71,7 @@ def _shape(connection: sa.Connection, directory: Path) -> set[str]:
     if tables.schema.name in there:
         _check_columns(connection, directory, tables.schema)
     check_schema(connection, directory)
-    for name in there & tables.metadata.tables.keys():
+    for name in sorted(there & tables.metadata.tables.keys()):
         _check_columns(connection, directory, tables.metadata.tables[name])
     return there
 
