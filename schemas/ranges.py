@@ -41,7 +41,7 @@ def within_steps(count: float) -> int:
 
 
 def within_seconds(seconds: float) -> float:
-    """Return a duration of an older database in the range of today.
+    """Return a duration that a database has, in the range of a message.
 
     >>> within_seconds(1.5), within_seconds(1.5e308)
     (1.5, 1000000000.0)

@@ -16,7 +16,7 @@ class Provenance:
     """The origin of a campaign; names are untrusted text."""
 
     accounts: tuple[str, ...]
-    """Of the users who ran the orchestrator; empty in a database of before schema version 7."""
+    """Of the users who ran the orchestrator."""
     hosts: tuple[str, ...]
     """Of the orchestrator."""
     platforms: tuple[str, ...]

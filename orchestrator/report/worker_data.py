@@ -47,7 +47,7 @@ class FailedAttempt:
     attempt: int
     worker: str
     kind: str | None
-    """"infrastructure" or "system"; None in a database that does not tell."""
+    """"infrastructure" or "system"; None in an edited database."""
     reason: str
     ended: float
     """Unix time."""

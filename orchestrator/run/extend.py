@@ -12,7 +12,6 @@ from ..campaign.extension import extension, extension_words, is_extension_to
 from ..campaign.ledger import Ledger
 from ..certificate import files
 from ..store.journal import Journal
-from ..store.upgrade import upgraded
 from .continuation import continue_command
 from .session import RunOptions, reopened
 
@@ -58,7 +57,6 @@ def extend_campaign(directory: Path, journal: Journal, max_tests: int) -> Extens
     # The fact comes last: without it a resume issues the same certificate again, after it nothing shows the old one as
     # that of this campaign.
     files.withdraw(directory, fact.number)
-    upgraded(directory)
     with ledger.transaction():
         ledger.extend(fact)
     return fact

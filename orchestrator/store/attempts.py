@@ -12,7 +12,7 @@ from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, RolloutId
 from . import tables
 from .pending import PendingRows
-from .rows import attempt_key, has_column, has_table, outcome_fields
+from .rows import attempt_key, outcome_fields
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,8 +28,8 @@ class StoredOpinion:
 class AttemptLog:
     """Attempts of one session; everything is written inside the transaction of the journal."""
 
-    def __init__(self, rows: PendingRows, version: int, session: int) -> None:
-        self._rows, self._version, self._session = rows, version, session
+    def __init__(self, rows: PendingRows, session: int) -> None:
+        self._rows, self._session = rows, session
 
     def started(self, attempt: Attempt, worker: str, host: str, pid: int) -> None:
         """Write a new attempt, before it is assigned."""
@@ -42,27 +42,23 @@ class AttemptLog:
         A worker that was given up may still deliver its result, or report a failure. A result is written in any case,
         a failure of the infrastructure as the first outcome alone, a failure of the system as the first of its kind.
         """
-        if isinstance(outcome, Failure) and self._rows.read(_failures_of(attempt, outcome, self._version)):
+        if isinstance(outcome, Failure) and self._rows.read(_failures_of(attempt, outcome)):
             return
         row = {"worker": worker, "ended": time.time(), "cpu_seconds": cpu, "wall_seconds": wall}
-        self._rows.add(tables.outcomes, attempt_key(attempt) | row | outcome_fields(outcome, self._version))
+        self._rows.add(tables.outcomes, attempt_key(attempt) | row | outcome_fields(outcome))
 
     def set_aside(self, kind: str, name: str, seconds: float, reason: str) -> None:
-        """Write the pause of a worker or host, or 0 s for the end of one; databases before version 5 have no place."""
-        if has_table("set_aside", self._version):
-            row = {"kind": kind, "name": name, "seconds": seconds, "reason": reason}
-            self._rows.add(tables.set_aside, {"session": self._session, "at": time.time(), **row})
+        """Write the pause of a worker or host, or 0 s for the end of one."""
+        row = {"kind": kind, "name": name, "seconds": seconds, "reason": reason}
+        self._rows.add(tables.set_aside, {"session": self._session, "at": time.time(), **row})
 
     def opinion(self, kind: str, attempt: Attempt, worker: str, sha256: str) -> None:
-        """Write the digest of a result that is compared, outvoted or reviewed; not before version 5."""
-        if has_table("opinions", self._version):
-            row = {"kind": kind, "worker": worker, "sha256": sha256, "at": time.time()}
-            self._rows.add(tables.opinions, attempt_key(attempt) | row)
+        """Write the digest of a result that is compared, outvoted or reviewed."""
+        row = {"kind": kind, "worker": worker, "sha256": sha256, "at": time.time()}
+        self._rows.add(tables.opinions, attempt_key(attempt) | row)
 
     def outvoted(self) -> list[str]:
         """Return the workers that were outvoted, in this session or an earlier one."""
-        if not has_table("opinions", self._version):
-            return []
         seen = tables.opinions.c
         query = sa.select(seen.worker).where(seen.kind == "outvoted").group_by(seen.worker)
         return [str(row[0]) for row in self._rows.read(query.order_by(sa.func.min(seen.entry)))]
@@ -100,8 +96,6 @@ class AttemptLog:
 
         Without those that were failures of the system, and without discarded rollouts, whose results fail today.
         """
-        if not has_table("opinions", self._version):
-            return []
         seen, began, ended, gone = tables.opinions.c, tables.attempts.c, tables.outcomes.c, tables.discards.c
         started = tables.opinions.outerjoin(
             tables.attempts, (seen.rollout == began.rollout) & (seen.attempt == began.attempt)
@@ -129,10 +123,10 @@ class AttemptLog:
         return str(rows[0][0]) if rows else None
 
 
-def _failures_of(attempt: Attempt, failure: Failure, version: int) -> sa.Select[Any]:
+def _failures_of(attempt: Attempt, failure: Failure) -> sa.Select[Any]:
     """Return the query of the outcomes of an attempt to which a failure adds nothing."""
     columns = tables.outcomes.c
     this = (columns.rollout == str(attempt.rollout)) & (columns.attempt == attempt.number)
-    if failure.kind == "system" and has_column("outcomes", "kind", version):
+    if failure.kind == "system":
         this &= columns.kind == "system"
     return sa.select(columns.attempt).where(this)

@@ -1,7 +1,6 @@
 """The rows that were added to a campaign database since the last call; nothing stays open between two calls."""
 
 from dataclasses import dataclass, fields
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +11,8 @@ from ...schemas.errors import JournalError
 from ...schemas.facts import BoundFact, ExtensionFact, Header, ObservationFact, ProposalFact, RolloutFact
 from ...schemas.ranges import within_seconds
 from . import tables
-from .read import read_header, read_version, reading
-from .rows import DATABASE, READERS, SCHEMA_VERSION, has_table
+from .read import read_header, reading
+from .rows import DATABASE, READERS
 
 _SINCE: sa.BindParameter[int] = sa.bindparam("since")
 _rollouts, _outcomes, _attempts = tables.rollouts.c, tables.outcomes.c, tables.attempts.c
@@ -29,7 +28,8 @@ _COUNTS = (
     .where(_rollouts.seq > _SINCE)
     .group_by(_rollouts.problem)
 )
-_VIOLATING = _rollouts.robustness < 0
+_VIOLATIONS = sa.select(tables.rollouts).where(_rollouts.seq > _SINCE, _rollouts.robustness < 0).order_by(_rollouts.seq)
+_OUTCOMES = sa.select(tables.outcomes, _ENDED.label("rowid")).where(_ENDED > _SINCE).order_by(_ENDED)
 _HOSTS = (
     sa.select(_attempts.worker, _attempts.host, sa.func.max(_STARTED).label("rowid"))
     .where(_STARTED > _SINCE)
@@ -54,7 +54,7 @@ class AttemptOutcome:
     cpu_seconds: float
     wall_seconds: float
     kind: str | None = None
-    """Of a failure: `schemas.failure.FailureKind`, or None in a database of an earlier schema version."""
+    """Of a failure: `schemas.failure.FailureKind`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +83,7 @@ class PauseChange:
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """One run or resume; what a database of an earlier schema version does not tell is None."""
+    """One run or resume."""
 
     host: str
     started: float
@@ -91,34 +91,15 @@ class Session:
     system: str | None
     """Reference of a system that is not installed."""
     revision: str | None
-    """Of its folder."""
-    platform: str | None
+    """Of its folder, in a repository."""
+    platform: str
     account: str | None
-    """Name of the user who ran the orchestrator."""
+    """Name of the user who ran the orchestrator, if there is one."""
     options: str | None
-    """Of a `perfbound resume` for the same workers; JSON."""
+    """Of a `perfbound resume` for the same workers, if there were any; JSON."""
 
 
 _OUTCOME_FIELDS = tuple(each.name for each in fields(AttemptOutcome))
-
-
-@cache
-def _violations_query(version: int) -> sa.Select[Any]:
-    found = tables.rows_of(tables.rollouts, version).where(_rollouts.seq > _SINCE, _VIOLATING)
-    return found.order_by(_rollouts.seq)
-
-
-@cache
-def _outcomes_query(version: int) -> sa.Select[Any]:
-    columns = tables.readable(tables.outcomes, version)
-    return sa.select(*columns, _ENDED.label("rowid")).where(_ENDED > _SINCE).order_by(_ENDED)
-
-
-@cache
-def _sessions_query(version: int) -> sa.Select[Any]:
-    named = {column.name: column for column in tables.readable(tables.sessions, version)}
-    wanted = (named[each.name] for each in fields(Session))
-    return sa.select(*wanted).select_from(tables.sessions).order_by(tables.sessions.c.session)
 
 
 def _after_last(table: sa.Table, row: type) -> sa.Select[Any]:
@@ -127,6 +108,7 @@ def _after_last(table: sa.Table, row: type) -> sa.Select[Any]:
     return sa.select(table.c.entry, *columns).where(table.c.entry > _SINCE).order_by(table.c.entry)
 
 
+_SESSIONS = sa.select(*(tables.sessions.c[each.name] for each in fields(Session))).order_by(tables.sessions.c.session)
 _OPINIONS, _PAUSES = _after_last(tables.opinions, ComparedResult), _after_last(tables.set_aside, PauseChange)
 
 
@@ -160,7 +142,6 @@ class ChangeReader:
     def __init__(self, directory: Path) -> None:
         self._directory = directory
         self._header: Header | None = None
-        self._version = SCHEMA_VERSION
         self._seq = self._ended = self._started = self._compared = self._paused = 0
 
     def read(self) -> Changes:
@@ -177,18 +158,15 @@ class ChangeReader:
             decisions = [
                 (row.seq, _fact(table, row, self._directory))
                 for table, query in _DECISIONS.items()
-                if has_table(table.name, self._version)
                 for row in connection.execute(query, seq)
             ]
             counts = connection.execute(_COUNTS, seq).all()
-            violations = connection.execute(_violations_query(self._version), seq).all()
-            outcomes = connection.execute(_outcomes_query(self._version), {"since": self._ended}).all()
+            violations = connection.execute(_VIOLATIONS, seq).all()
+            outcomes = connection.execute(_OUTCOMES, {"since": self._ended}).all()
             hosts = connection.execute(_HOSTS, {"since": self._started}).all()
-            sessions = connection.execute(_sessions_query(self._version)).all()
-            opinions, pauses = list[Any](), list[Any]()
-            if has_table("opinions", self._version):
-                opinions += connection.execute(_OPINIONS, {"since": self._compared}).all()
-                pauses += connection.execute(_PAUSES, {"since": self._paused}).all()
+            sessions = connection.execute(_SESSIONS).all()
+            opinions = connection.execute(_OPINIONS, {"since": self._compared}).all()
+            pauses = connection.execute(_PAUSES, {"since": self._paused}).all()
         decisions.sort(key=lambda pair: pair[0])  # the sequence number is common to all tables of facts
         found = Changes(
             header,
@@ -211,8 +189,6 @@ class ChangeReader:
         return found
 
     def _checked(self, connection: Connection) -> Header:
-        # Each time: an extension upgrades the database.
-        self._version = read_version(connection, self._directory)
         if self._header is None:
             return read_header(connection, self._directory)
         # Its sequence numbers start again: the increments of two campaigns must not be added up.
@@ -229,14 +205,13 @@ def rollouts_of(directory: Path, problem: str, test: int) -> tuple[RolloutFact, 
 
     """
     with reading(directory) as connection:
-        every = tables.rows_of(tables.rollouts, read_version(connection, directory))
-        this = every.where(_rollouts.problem == problem, _rollouts.test == test)
+        this = sa.select(tables.rollouts).where(_rollouts.problem == problem, _rollouts.test == test)
         rows = connection.execute(this.order_by(_rollouts.variant, _rollouts.replicate)).all()
     return tuple(_rollout(row, directory) for row in rows)
 
 
 def _ended_attempt(row: Any) -> AttemptOutcome:
-    # Before messages had ranges, a worker could claim any number of seconds: a sum of them would not be finite.
+    # An edited database may have any number of seconds: a sum of them would not be finite.
     seconds = {name: within_seconds(getattr(row, name)) for name in ("cpu_seconds", "wall_seconds")}
     return AttemptOutcome(**{name: getattr(row, name) for name in _OUTCOME_FIELDS} | seconds)
 

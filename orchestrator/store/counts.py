@@ -11,9 +11,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from ...schemas.facts import NO_FAILURE, Header
-from .progress import header_and_version
+from .progress import header_in
 from .readonly import snapshot
-from .rows import has_column
 
 _RUN = "SELECT run FROM campaign"
 # +problem: without the sign SQLite reads the whole index of problems in place of the rows after a sequence number.
@@ -23,11 +22,10 @@ _TESTS = "SELECT problem, count(*), max(y), max(seq) FROM observations WHERE seq
 _BOUNDS = "SELECT problem, upper, max(seq) FROM bounds WHERE seq > ? GROUP BY +problem"
 _ATTEMPTS = "SELECT host, count(*), min(rowid), max(rowid) FROM attempts WHERE rowid > ? GROUP BY host ORDER BY 3"
 _OUTCOMES = """
-    SELECT host, {kind}, count(*), max(outcomes.rowid) FROM outcomes
+    SELECT host, CASE WHEN outcome IN (?, ?, ?) THEN outcome ELSE kind END, count(*), max(outcomes.rowid) FROM outcomes
     JOIN attempts ON attempts.rollout = outcomes.rollout AND attempts.attempt = outcomes.attempt
     WHERE outcomes.rowid > ? GROUP BY 1, 2 ORDER BY min(outcomes.rowid)
 """
-_KIND = "CASE WHEN outcome IN (?, ?, ?) THEN outcome ELSE coalesce({column}, 'unknown') END"
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +53,7 @@ class CampaignCounts:
     attempts: dict[str, int] = field(default_factory=dict)
     """Attempts that were started, by host, in the order in which the hosts came."""
     outcomes: dict[tuple[str, str], int] = field(default_factory=dict)
-    """Attempts that ended, by host and a word of `NO_FAILURE` or the kind of failure, "unknown" in old databases."""
+    """Attempts that ended, by host and a word of `NO_FAILURE` or the kind of failure."""
 
 
 class CountReader:
@@ -64,7 +62,6 @@ class CountReader:
     def __init__(self, directory: Path) -> None:
         self._directory = directory
         self._counts: CampaignCounts | None = None
-        self._version = 0
         self._seen: Counter[str] = Counter()
         """Highest number that was read, by query."""
 
@@ -84,9 +81,7 @@ class CountReader:
                 attempts[str(host)] += number
                 _remember(seen, "attempts", last)
             outcomes = Counter(counts.outcomes)
-            column = "kind" if has_column("outcomes", "kind", self._version) else "NULL"
-            query = _OUTCOMES.format(kind=_KIND.format(column=column))
-            for host, kind, number, last in connection.execute(query, [*NO_FAILURE, seen["outcomes"]]):
+            for host, kind, number, last in connection.execute(_OUTCOMES, [*NO_FAILURE, seen["outcomes"]]):
                 outcomes[str(host), str(kind)] += number
                 _remember(seen, "outcomes", last)
         # Only now: a call that fails half-way is repeated whole.
@@ -100,8 +95,7 @@ class CountReader:
             (run,) = connection.execute(_RUN).fetchone()
             if run == self._counts.header.run:
                 return self._counts, self._seen.copy()
-        header, self._version = header_and_version(connection, self._directory)
-        return CampaignCounts(header), Counter()
+        return CampaignCounts(header_in(connection, self._directory)), Counter()
 
 
 def _added_series(

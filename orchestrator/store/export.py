@@ -17,7 +17,7 @@ from ...schemas.meant import meant
 from . import export_tables
 from .export_tables import TABLES, ExportColumn, ExportTable, Row, Value
 from .files import FOLDER
-from .read import read_header, read_version, reading
+from .read import read_header, reading
 from .rows import DATABASE
 
 __all__ = ["TABLES", "counterexamples", "export", "stream", "table_rows"]
@@ -89,8 +89,7 @@ def _open_campaign(directory: Path, names: Sequence[str]) -> Iterator[tuple[Conn
         raise PerfboundError(f"there is no table {unknown[0]!r}; {near}allowed are {allowed}")
     with reading(directory) as connection:
         header = read_header(connection, directory)
-        version = read_version(connection, directory)
-        yield connection, header, [export_tables.export_table(name, header, version) for name in names]
+        yield connection, header, [export_tables.export_table(name, header) for name in names]
 
 
 def _counted(table: ExportTable, connection: Connection, progress: Progress) -> Iterator[Row]:

@@ -33,7 +33,6 @@ from ...schemas.problems import replicates_are_robustness
 from ...schemas.requirements import parts_of
 from ...schemas.system import SystemSpec
 from . import tables
-from .rows import has_table
 
 TABLES = ("tests", "rollouts", "observations", "counterexamples", "failures", "opinions", "set_aside")
 BATCH = 1000
@@ -70,8 +69,8 @@ class ExportTable:
             yield from self.expand(row)
 
 
-def export_table(name: str, header: Header, version: int) -> ExportTable:
-    """Return one of `TABLES` of a campaign whose database has this schema version.
+def export_table(name: str, header: Header) -> ExportTable:
+    """Return one of `TABLES` of a campaign.
 
     Raises:
         KeyError: there is no such table.
@@ -81,19 +80,19 @@ def export_table(name: str, header: Header, version: int) -> ExportTable:
         case "tests":
             return _tests_table(header)
         case "rollouts":
-            return _rollouts_table(name, header, _rollouts(version))
+            return _rollouts_table(name, header, _ROLLOUTS)
         case "observations":
             return _observations_table(header)
         case "counterexamples":
             # Not of the recheck: it repeats rollouts that are listed.
             violating = _r.robustness < 0, _r.problem.not_like(f"{RECHECK}%")
-            return _rollouts_table(name, header, _rollouts(version).where(*violating))
+            return _rollouts_table(name, header, _ROLLOUTS.where(*violating))
         case "failures":
-            return _failures_table(version)
+            return _failures_table()
         case "opinions":
-            return _as_stored(tables.opinions, _OPINION, version)
+            return _as_stored(tables.opinions, _OPINION)
         case "set_aside":
-            return _as_stored(tables.set_aside, _PAUSE, version)
+            return _as_stored(tables.set_aside, _PAUSE)
     raise KeyError(name)
 
 
@@ -162,7 +161,7 @@ _LAST = (
 _ROLLOUTS = (
     sa.select(
         *(_ID.label("id"), _r.problem, _r.test, _r.variant, _r.replicate, _r.seed, _t.x),
-        *(_r.robustness, _r.path, _r.size, _r.sha256),
+        *(_r.robustness, _r.by_tolerance, _r.ended, _r.path, _r.size, _r.sha256),
         *(_outcome.worker, _ATTEMPTS.label("attempts"), _outcome.wall_seconds, _outcome.cpu_seconds),
     )
     .join(tables.tests, (_t.problem == _r.problem) & (_t.test == _r.test))
@@ -186,11 +185,6 @@ _ATTEMPT = (
     ExportColumn("wall", unit="s"),
     ExportColumn("cpu", unit="s"),
 )
-
-
-def _rollouts(version: int) -> sa.Select[Any]:
-    named = {column.name: column for column in tables.readable(tables.rollouts, version)}
-    return _ROLLOUTS.add_columns(named["by_tolerance"], named["ended"])
 
 
 def _rollouts_table(name: str, header: Header, query: sa.Select[Any]) -> ExportTable:
@@ -218,8 +212,8 @@ _FAILURE = (
 )
 
 
-def _failures_table(version: int) -> ExportTable:
-    query = tables.rows_of(tables.outcomes, version).where(_outcome.outcome.not_in(NO_FAILURE))
+def _failures_table() -> ExportTable:
+    query = sa.select(tables.outcomes).where(_outcome.outcome.not_in(NO_FAILURE))
     # Outcomes have no sequence number: the order of the rows is that in which they were written.
     return ExportTable("failures", _FAILURE, query.order_by(sa.literal_column("outcomes.rowid")), _failure_row)
 
@@ -248,12 +242,9 @@ _PAUSE = (
 )
 
 
-def _as_stored(table: sa.Table, columns: tuple[ExportColumn, ...], version: int) -> ExportTable:
-    """Return a table of the database as it is; without rows where the database is too old to have it."""
-    if has_table(table.name, version):
-        query = sa.select(*(table.c[each.name] for each in columns)).order_by(table.c.entry)
-    else:
-        query = sa.select(*(sa.null().label(each.name) for each in columns)).where(sa.false())
+def _as_stored(table: sa.Table, columns: tuple[ExportColumn, ...]) -> ExportTable:
+    """Return a table of the database as it is."""
+    query = sa.select(*(table.c[each.name] for each in columns)).order_by(table.c.entry)
     return ExportTable(table.name, columns, query, lambda row: iter([tuple(row)]))
 
 

@@ -26,13 +26,12 @@ from .commit_times import CommitTimes
 from .damage import naming_cause
 from .lock import RunLock
 from .pending import PendingRows
-from .read import read_facts, read_header, read_version
+from .read import check_schema, read_facts, read_header
 from .rows import (
     DATABASE,
     SCHEMA_VERSION,
     existing,
     fact_row,
-    has_column,
     header_row,
     proposal_fact,
     rollout_fact,
@@ -64,10 +63,10 @@ class Journal:
         self._process = os.getpid()
         self._engine = engine
         self._connection = engine.connect()
-        self._version, self._seq = _position(self._connection, directory)
+        self._seq = _last_fact(self._connection)
         self._rows = PendingRows(self._connection)
-        self.session = _open_session(self._connection, self._version, origin)
-        self.attempts = AttemptLog(self._rows, self._version, self.session)
+        self.session = _open_session(self._connection, origin)
+        self.attempts = AttemptLog(self._rows, self.session)
         self.commits = CommitTimes()
         """Of the transactions that wrote."""
         self._seen = _states(directory)
@@ -95,7 +94,7 @@ class Journal:
         """Open the database of an existing campaign.
 
         Raises:
-            JournalError: there is none, or it is of another schema, or damaged.
+            JournalError: there is none, or it is of another schema version, or damaged.
 
         """
         engine = open_engine(_unlinked(existing(directory)))
@@ -103,6 +102,7 @@ class Journal:
             refused.callback(engine.dispose)
             with naming_cause(directory):
                 with engine.begin() as connection:
+                    check_schema(connection, directory)
                     header = read_header(connection, directory)
                 opened = cls(directory, engine, header, origin, held)
             refused.pop_all()
@@ -134,8 +134,7 @@ class Journal:
         """Write one fact; inside `transaction` alone."""
         table, row = fact_row(fact)
         self._seq += 1
-        known = {name: value for name, value in row.items() if has_column(table, name, self._version)}
-        self._rows.add(tables.metadata.tables[table], {"seq": self._seq, **known})
+        self._rows.add(tables.metadata.tables[table], {"seq": self._seq, **row})
 
     def facts(self) -> Iterator[Fact]:
         """Yield all facts after the header in the order in which they were written."""
@@ -144,7 +143,7 @@ class Journal:
 
     def recorded(self) -> list[RolloutFact]:
         """Return all recorded rollouts, the newest first."""
-        newest = tables.rows_of(tables.rollouts, self._version).order_by(tables.rollouts.c.seq.desc())
+        newest = sa.select(tables.rollouts).order_by(tables.rollouts.c.seq.desc())
         with self._connection.begin():
             return [rollout_fact(row) for row in self._connection.execute(newest)]
 
@@ -158,7 +157,7 @@ class Journal:
         """Return a recorded rollout; inside or outside a transaction."""
         columns = tables.rollouts.c
         this = [columns[name] == value for name, value in rollout._asdict().items()]
-        (row,) = self._rows.read(tables.rows_of(tables.rollouts, self._version).where(*this))
+        (row,) = self._rows.read(sa.select(tables.rollouts).where(*this))
         return rollout_fact(row)
 
     @property
@@ -166,11 +165,8 @@ class Journal:
         """The class of machines of the campaign: that of its file, else of the session that began it."""
         if self.header.config.platform is not None:
             return self.header.config.platform
-        if not has_column("sessions", "platform", self._version):
-            return platform_class()
         sessions = tables.sessions.c
-        named = sa.select(sessions.platform).where(sessions.platform.is_not(None))  # the present session, at least
-        ((found,),) = self._rows.read(named.order_by(sessions.session).limit(1))
+        ((found,),) = self._rows.read(sa.select(sessions.platform).order_by(sessions.session).limit(1))
         return str(found)
 
     def check_place(self) -> None:
@@ -238,26 +234,25 @@ def _states(directory: Path) -> dict[Path, tuple[int, int, int]]:
     return found
 
 
-def _position(connection: Connection, directory: Path) -> tuple[int, int]:
-    """Return the schema version of a database and its last sequence number."""
+def _last_fact(connection: Connection) -> int:
+    """Return the last sequence number of a database."""
     with connection.begin():
-        version = read_version(connection, directory)
-        there = tables.facts_of_version(version)
-        last = [connection.execute(sa.select(sa.func.max(table.c.seq))).scalar() for table in there]
-        return version, max(seq or 0 for seq in last)
+        last = [connection.execute(sa.select(sa.func.max(table.c.seq))).scalar() for table in tables.FACTS]
+        return max(seq or 0 for seq in last)
 
 
-def _open_session(connection: Connection, version: int, origin: Origin) -> int:
+def _open_session(connection: Connection, origin: Origin) -> int:
     with connection.begin():
-        row: dict[str, Any] = {"host": host_name(), "pid": os.getpid(), "started": time.time()}
-        known = {
+        row = {
+            "host": host_name(),
+            "pid": os.getpid(),
+            "started": time.time(),
             "system": origin.system,
             "revision": origin.revision,
             "platform": platform_class(),
             "account": _account(),
             "options": None if origin.options is None else canonical_json(list(origin.options)),
         }
-        row |= {name: value for name, value in known.items() if has_column("sessions", name, version)}
         key = connection.execute(tables.sessions.insert().values(**row)).inserted_primary_key
         assert key is not None
         return int(key[0])

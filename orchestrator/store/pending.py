@@ -21,7 +21,7 @@ _INSERTS = (
 
 @lru_cache
 def _insert(table: sa.Table, columns: tuple[str, ...]) -> str:
-    """Return the statement for rows with these columns, which databases of an earlier schema version have fewer of.
+    """Return the statement for rows with these columns.
 
     To look it up in SQLAlchemy takes as long as SQLite takes to carry it out.
     """

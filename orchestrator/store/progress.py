@@ -18,21 +18,14 @@ from ...schemas.errors import one_line
 from ...schemas.facts import HANDED_BACK, NO_FAILURE, RECORDED, Header
 from ...schemas.values import MARKED, Bound, ProblemProgress, distance_after
 from .readonly import snapshot
-from .rows import (
-    bound_fact,
-    checked_header,
-    checked_version,
-    extension_fact,
-    has_column,
-    has_table,
-    header_columns,
-)
+from .rows import bound_fact, check_version, checked_header, extension_fact
 
 RECENT = 1000
 MINUTE = 60.0
 """The rate is that of at least the last minute of work, or of its last `RECENT` rollouts."""
 
 _VERSION = "SELECT version FROM schema"
+_HEADER = "SELECT run, name, seed, config, config_sha256, system, software, rules FROM campaign LIMIT 2"
 _ROLLOUTS = "SELECT problem, count(*) FROM rollouts GROUP BY problem"
 _LAST_BOUNDS = """
     SELECT bounds.seq, problem, test, upper, lower, stopped_by, F FROM bounds JOIN tests USING (problem, test)
@@ -82,8 +75,8 @@ class CampaignProgress:
     workers: tuple[tuple[str, int, float], ...]
     """(worker, rollouts recorded, Unix time of the last one)."""
     failures: int
-    system_failures: int | None
-    """Failures of the system among them; None if the database does not tell."""
+    system_failures: int
+    """Failures of the system among them."""
     handed_back: int
     """Attempts that workers gave back because they were stopped; none of them is a failure."""
     sessions: int
@@ -117,7 +110,7 @@ def header_alone(directory: Path) -> Header:
 
     """
     with snapshot(directory) as connection:
-        return header_and_version(connection, directory)[0]
+        return header_in(connection, directory)
 
 
 def last_session(directory: Path) -> tuple[str | None, int | None]:
@@ -141,25 +134,23 @@ def session_options(directory: Path) -> str | None:
 
     """
     with snapshot(directory) as connection:
-        _, version = header_and_version(connection, directory)
-        found = connection.execute(_OPTIONS).fetchone() if has_column("sessions", "options", version) else None
+        header_in(connection, directory)
+        found = connection.execute(_OPTIONS).fetchone()
     return None if found is None else str(found[0])
 
 
-def header_and_version(connection: sqlite3.Connection, directory: Path) -> tuple[Header, int]:
-    """Return the header and the schema version."""
-    found = connection.execute(_VERSION).fetchone()
-    version = checked_version(directory, found and found[0])
-    columns = ", ".join(header_columns(version))
-    query = f"SELECT {columns} FROM campaign LIMIT 2"  # noqa: S608  (names of a tuple of constants)
-    return checked_header(directory, _named(connection.execute(query))), version
+def header_in(connection: sqlite3.Connection, directory: Path) -> Header:
+    """Return the first fact, of a database of this schema version."""
+    version = connection.execute(_VERSION).fetchone()
+    check_version(directory, version and version[0])
+    return checked_header(directory, _named(connection.execute(_HEADER)))
 
 
 def _campaign_progress(connection: sqlite3.Connection, directory: Path) -> CampaignProgress:
-    header, version = header_and_version(connection, directory)
+    header = header_in(connection, directory)
     started = [float(row[0]) for row in connection.execute(_SESSIONS)]
     rollouts = {str(row[0]): int(row[1]) for row in connection.execute(_ROLLOUTS)}
-    extended = _last_extensions(connection) if has_table("extensions", version) else {}
+    extended = _last_extensions(connection)
     last = {str(row.problem): row for row in _named(connection.execute(_LAST_BOUNDS))}
     return CampaignProgress(
         header,
@@ -172,12 +163,12 @@ def _campaign_progress(connection: sqlite3.Connection, directory: Path) -> Campa
         ),
         tuple((str(row[0]), int(row[1]), float(row[2])) for row in connection.execute(_WORKERS, [RECORDED])),
         int(connection.execute(_FAILURES, NO_FAILURE).fetchone()[0]),
-        connection.execute(_SYSTEM_FAILURES).fetchone()[0] if has_column("outcomes", "kind", version) else None,
+        int(connection.execute(_SYSTEM_FAILURES).fetchone()[0]),
         int(connection.execute(_HANDED_BACK, [HANDED_BACK]).fetchone()[0]),
         len(started),
         max(started, default=0.0),
-        _pauses(connection) if has_table("set_aside", version) else (),
-        dict(connection.execute(_OPINIONS).fetchall()) if has_table("opinions", version) else {},
+        _pauses(connection),
+        dict(connection.execute(_OPINIONS).fetchall()),
         rate([row[0] for row in connection.execute(_RECENT, [RECORDED, RECENT])], started),
     )
 

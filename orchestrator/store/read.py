@@ -18,15 +18,7 @@ from ...schemas.values import Bound, Observation, Proposal, StoppedBy
 from . import tables
 from .damage import naming_cause
 from .readonly import is_still, open_readonly
-from .rows import (
-    READERS,
-    checked_header,
-    checked_version,
-    existing,
-    has_column,
-    has_table,
-    header_columns,
-)
+from .rows import READERS, check_version, checked_header, existing
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +42,20 @@ def reading(directory: Path) -> Iterator[Connection]:
     """Open the database of a campaign read-only, at one moment in time.
 
     Raises:
+        JournalError: there is none, it is of another schema version, or it is damaged.
+        OSError: the disk is full or fails.
+
+    """
+    with reading_untrusted(directory) as connection:
+        check_schema(connection, directory)
+        yield connection
+
+
+@contextmanager
+def reading_untrusted(directory: Path) -> Iterator[Connection]:
+    """Open a database as `reading` does, without a query: its tables may be anything.
+
+    Raises:
         JournalError: there is none, or it is damaged.
         OSError: the disk is full or fails.
 
@@ -69,25 +75,24 @@ def _reading_engine(path: Path, *, immutable: bool) -> Engine:
     )
 
 
-def read_version(connection: Connection, directory: Path) -> int:
-    """Return the schema version of the database.
+def check_schema(connection: Connection, directory: Path) -> None:
+    """Refuse a database of another schema version.
 
     Raises:
         JournalError: this perfbound does not read it.
 
     """
-    return checked_version(directory, connection.execute(sa.select(tables.schema.c.version)).scalar())
+    check_version(directory, connection.execute(sa.select(tables.schema.c.version)).scalar())
 
 
 def read_header(connection: Connection, directory: Path) -> Header:
     """Return the first fact.
 
     Raises:
-        JournalError: the database is of another schema version, or its header is missing or was changed.
+        JournalError: the header is missing or was changed.
 
     """
-    columns = [tables.campaign.c[name] for name in header_columns(read_version(connection, directory))]
-    return checked_header(directory, connection.execute(sa.select(*columns).limit(2)).all())
+    return checked_header(directory, connection.execute(sa.select(tables.campaign).limit(2)).all())
 
 
 def stored_header(directory: Path) -> Header:
@@ -120,12 +125,10 @@ def system_reference(directory: Path) -> str:
 
 def read_facts(connection: Connection) -> Iterator[Fact]:
     """Yield all facts after the header in the order in which they were written."""
-    version = connection.execute(sa.select(tables.schema.c.version)).scalar_one()
     rows = [
         (row.seq, make(row))
         for table, make in READERS.items()
-        if has_table(table, version)
-        for row in connection.execute(tables.rows_of(tables.metadata.tables[table], version))
+        for row in connection.execute(sa.select(tables.metadata.tables[table]))
     ]
     rows.sort(key=lambda pair: pair[0])  # the order of the decisions: a replay takes the same way as the run
     for _, fact in rows:
@@ -158,8 +161,6 @@ class EndedAttempt:
 def failures(directory: Path) -> list[EndedAttempt]:
     """Return the failed attempts of the rollouts without a result, the oldest first.
 
-    Databases of schema versions below 3 do not tell the kinds of failures; the list is empty.
-
     Raises:
         JournalError: there is no campaign in `directory`, or it cannot be read.
 
@@ -172,8 +173,6 @@ def failures(directory: Path) -> list[EndedAttempt]:
     columns = (ended.rollout, ended.attempt, ended.worker, began.host, ended.kind, ended.outcome)
     query = sa.select(*columns).select_from(both).where(ended.kind.is_not(None), ended.rollout.not_in(recorded))
     with reading(directory) as connection:
-        if not has_column("outcomes", "kind", read_version(connection, directory)):
-            return []
         rows = connection.execute(query.order_by(ended.ended)).all()
     return [
         EndedAttempt(Attempt(RolloutId.parse(rollout), number), worker, host or "", Failure(kind, reason))
@@ -199,8 +198,6 @@ def hand_backs(directory: Path) -> dict[RolloutId, int]:
 def irreproducible(directory: Path) -> int:
     """Return how many recorded rollouts have an attempt that failed in the system, so that a retry chose their outcome.
 
-    Databases of schema versions below 3 do not tell failures of the system from others; the number is 0.
-
     Raises:
         JournalError: there is no campaign in `directory`, or it cannot be read.
 
@@ -210,8 +207,6 @@ def irreproducible(directory: Path) -> int:
     failed: sa.ColumnElement[bool] = columns.kind == "system"
     query = sa.select(sa.func.count(columns.rollout.distinct())).where(failed, columns.rollout.in_(recorded))
     with reading(directory) as connection:
-        if not has_column("outcomes", "kind", read_version(connection, directory)):
-            return 0
         return connection.execute(query).scalar_one()
 
 
@@ -224,8 +219,6 @@ def contradicted(directory: Path) -> list[str]:
     """
     seen, rollouts = tables.opinions.c, tables.rollouts.c
     with reading(directory) as connection:
-        if not has_table("opinions", read_version(connection, directory)):
-            return []
         query = sa.select(seen.rollout, seen.sha256).where(seen.kind == "reviewed")
         reviewed = connection.execute(query).all()
         if not reviewed:

@@ -28,27 +28,9 @@ from ...schemas.values import Bound, Observation, Proposal
 DATABASE = "campaign.db"
 BESIDE = ("trajectories", "certificate.json", "manifest.sha256")
 """What a run directory has that no other folder has."""
-SCHEMA_VERSION = 9
-"""Of a new database. A database keeps its version: its rows are written without the columns that it lacks."""
-READ_VERSIONS = tuple(range(1, SCHEMA_VERSION + 1))
-ADDED_IN = {
-    ("campaign", "rules"): 2,
-    ("outcomes", "kind"): 3,
-    ("sessions", "system"): 3,
-    ("sessions", "revision"): 4,
-    ("sessions", "platform"): 5,
-    ("sessions", "account"): 7,
-    ("sessions", "options"): 8,
-    ("rollouts", "by_tolerance"): 9,
-    ("rollouts", "ended"): 9,
-}
-"""(table, column) to the schema version that added it; every other column is as old as version 1.
-
-Campaigns without `rules` follow rules 1; the kind of a failure without `kind` is unknown.
-"""
-TABLES_ADDED_IN = {"discards": 5, "set_aside": 5, "opinions": 5, "extensions": 6}
-"""Table to the schema version that added it; every other table is as old as version 1."""
-_HEADER = ("run", "name", "seed", "config", "config_sha256", "system", "software", "rules")
+SCHEMA_VERSION = 1
+LONGEST_NUMBER = 20
+"""Characters of a schema version that are shown."""
 
 
 def existing(directory: Path) -> Path:
@@ -74,34 +56,18 @@ def existing(directory: Path) -> Path:
 # From rows to facts; a row has the columns of its table as attributes.
 
 
-def checked_version(directory: Path, version: int | None) -> int:
-    """Return the schema version of a database.
+def check_version(directory: Path, version: object) -> None:
+    """Refuse a database by its schema version, which may be anything.
 
     Raises:
         JournalError: this perfbound does not read it.
 
     """
-    if version is None or version not in READ_VERSIONS:
+    if version != SCHEMA_VERSION:
+        found = "no schema version" if version is None else f"schema version {repr(version)[:LONGEST_NUMBER]}"
         raise JournalError(
-            f"{directory / DATABASE}: schema version {version}, this perfbound reads 1 to {SCHEMA_VERSION}; "
-            "use the perfbound that wrote it, or a newer one"
+            f"{directory / DATABASE}: {found}, this perfbound reads {SCHEMA_VERSION}; use the perfbound that wrote it"
         )
-    return version
-
-
-def has_column(table: str, column: str, version: int) -> bool:
-    """Whether a table has a column in databases of this schema version."""
-    return ADDED_IN.get((table, column), 1) <= version
-
-
-def has_table(table: str, version: int) -> bool:
-    """Whether databases of this schema version have a table."""
-    return TABLES_ADDED_IN.get(table, 1) <= version
-
-
-def header_columns(version: int) -> tuple[str, ...]:
-    """Return the columns of table `campaign` in a database of this schema version."""
-    return tuple(name for name in _HEADER if has_column("campaign", name, version))
 
 
 def checked_header(directory: Path, rows: Sequence[Any]) -> Header:
@@ -237,12 +203,12 @@ def attempt_key(attempt: Attempt) -> dict[str, Any]:
     return {"rollout": str(attempt.rollout), "attempt": attempt.number}
 
 
-def outcome_fields(outcome: str | Failure, version: int) -> dict[str, Any]:
-    """Return the outcome of an attempt as columns of `outcomes` in a database of this schema version."""
+def outcome_fields(outcome: str | Failure) -> dict[str, Any]:
+    """Return the outcome of an attempt as columns of `outcomes`."""
     kind, text = (outcome.kind, outcome.reason) if isinstance(outcome, Failure) else (None, outcome)
     if kind and text in NO_FAILURE:  # a reason is text of a system under test, and may be anything
         text = f"failed: {text}"
-    return {"outcome": text} | ({"kind": kind} if has_column("outcomes", "kind", version) else {})
+    return {"outcome": text, "kind": kind}
 
 
 def _fields(value: RolloutFact | Proposal) -> dict[str, Any]:

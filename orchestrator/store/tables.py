@@ -5,24 +5,8 @@ Facts are insert-only and share one sequence number: `campaign`, `tests`, `rollo
 and times) is in `attempts`, `outcomes`, `sessions`, `set_aside` and `opinions`, outside the hash chain.
 """
 
-from typing import Any
-
-from sqlalchemy import (
-    Column,
-    ColumnElement,
-    ForeignKeyConstraint,
-    Integer,
-    MetaData,
-    Select,
-    Table,
-    Text,
-    UniqueConstraint,
-    null,
-    select,
-)
+from sqlalchemy import Column, ForeignKeyConstraint, Integer, MetaData, Table, Text, UniqueConstraint
 from sqlalchemy.types import REAL
-
-from .rows import has_column, has_table
 
 metadata = MetaData()
 
@@ -72,7 +56,7 @@ rollouts = Table(
     Column("size", Integer, nullable=False),  # bytes
     Column("path", Text, nullable=False),  # relative to the run directory
     Column("robustness", REAL),  # clipped; recomputed from the trajectory by `verify`
-    Column("by_tolerance", Integer),  # 1 where the tolerance around its time stamps could decide its sign
+    Column("by_tolerance", Integer, nullable=False),  # 1 where the tolerance around time stamps could decide its sign
     Column("ended", REAL),  # s at which it ended before the horizon, if it did
     UniqueConstraint("problem", "test", "variant", "replicate"),
     ForeignKeyConstraint(["problem", "test"], ["tests.problem", "tests.test"]),
@@ -172,7 +156,7 @@ sessions = Table(
     Column("started", REAL, nullable=False),  # Unix time, s
     Column("system", Text),  # FILE.py:NAME or campaign file, with its folder, of a system that is not installed
     Column("revision", Text),  # of this folder: the commit, and whether files are changed
-    Column("platform", Text),  # schemas.platforms, of the orchestrator
+    Column("platform", Text, nullable=False),  # schemas.platforms, of the orchestrator
     Column("account", Text),  # name of the user who ran the orchestrator
     Column("options", Text),  # of a `perfbound resume` that waits for the same workers, JSON; no secret is one
     sqlite_strict=True,
@@ -215,24 +199,3 @@ def insert_only() -> list[str]:
         for table in (*FACTS, schema, attempts, outcomes, sessions, set_aside, opinions)
         for verb in ("UPDATE", "DELETE")
     ]
-
-
-def facts_of_version(version: int) -> list[Table]:
-    """Return the tables of facts of a database of this schema version."""
-    return [table for table in FACTS if has_table(table.name, version)]
-
-
-def columns_of_version(table: Table, version: int) -> list[str]:
-    """Return the names of a table's columns in a database of this schema version."""
-    return [name for name, _ in table.c.items() if has_column(table.name, name, version)]
-
-
-def rows_of(table: Table, version: int) -> Select[Any]:
-    """Return the query of all columns of a table in a database of this schema version."""
-    return select(*readable(table, version)).select_from(table)
-
-
-def readable(table: Table, version: int) -> list[ColumnElement[Any]]:
-    """Return all columns of a table for a query; NULL for those that a database of this schema version lacks."""
-    there = columns_of_version(table, version)
-    return [column if name in there else null().label(name) for name, column in table.c.items()]

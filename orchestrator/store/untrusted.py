@@ -17,8 +17,8 @@ from ...schemas.facts import (
     RolloutFact,
 )
 from . import tables
-from .read import read_header, read_version, reading
-from .rows import DATABASE, READ_VERSIONS, READERS
+from .read import check_schema, read_header, reading_untrusted
+from .rows import DATABASE, READERS
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ def read_untrusted(directory: Path) -> UntrustedFacts:
         JournalError: there is no database, or its header or a row cannot be read.
 
     """
-    with reading(directory) as connection:
+    with reading_untrusted(directory) as connection:
         there = _shape(connection, directory)
         header = read_header(connection, directory)
         return UntrustedFacts(header, *(_rows(connection, directory, name, there) for name in READERS))  # type: ignore[arg-type]
@@ -54,33 +54,39 @@ def read_untrusted_header(directory: Path) -> Header:
         JournalError: there is no database, or its header cannot be read.
 
     """
-    with reading(directory) as connection:
+    with reading_untrusted(directory) as connection:
         _shape(connection, directory)
         return read_header(connection, directory)
 
 
 def _shape(connection: sa.Connection, directory: Path) -> set[str]:
-    """Return the names of the tables, if all of them are perfbound's."""
+    """Return the names of the tables, if all of them are perfbound's and of its schema version."""
     # A view or a generated column computes while it is read, perhaps without end.
     master = connection.exec_driver_sql("SELECT name, type FROM sqlite_master WHERE type IN ('table', 'view')").all()
     for name, kind in master:
-        table = tables.metadata.tables.get(name)
-        if kind != "table" or (table is None and not name.startswith("sqlite_")):
+        if kind != "table" or (name not in tables.metadata.tables and not name.startswith("sqlite_")):
             raise JournalError(f"{directory / DATABASE}: the {kind} {str(name)[:80]} is not perfbound's")
-        if table is not None:
-            quoted = name.replace('"', '""')
-            columns = connection.exec_driver_sql(f'PRAGMA table_xinfo("{quoted}")').all()
-            expected = [tables.columns_of_version(table, version) for version in READ_VERSIONS]
-            if [row.name for row in columns] not in expected or any(row.hidden for row in columns):
-                raise JournalError(f"{directory / DATABASE}: the table {name} has other columns than perfbound's")
-    return {name for name, _ in master}
+    there = {name for name, _ in master}
+    # The version comes before the other tables, which in another version have other columns.
+    if tables.schema.name in there:
+        _check_columns(connection, directory, tables.schema)
+    check_schema(connection, directory)
+    for name in sorted(there & tables.metadata.tables.keys()):
+        _check_columns(connection, directory, tables.metadata.tables[name])
+    return there
+
+
+def _check_columns(connection: sa.Connection, directory: Path, table: sa.Table) -> None:
+    columns = connection.exec_driver_sql(f'PRAGMA table_xinfo("{table.name}")').all()
+    if [row.name for row in columns] != table.c.keys() or any(row.hidden for row in columns):
+        raise JournalError(f"{directory / DATABASE}: the table {table.name} has other columns than perfbound's")
 
 
 def _rows(connection: sa.Connection, directory: Path, name: str, there: set[str]) -> tuple[Fact, ...]:
     if name not in there:
         return ()  # a header alone is enough to decide the campaign again from its files
-    table, version = tables.metadata.tables[name], read_version(connection, directory)
-    query = tables.rows_of(table, version).order_by(table.c.seq)
+    table = tables.metadata.tables[name]
+    query = sa.select(table).order_by(table.c.seq)
     try:
         return tuple(READERS[name](row) for row in connection.execute(query))
     except (ValueError, TypeError, RecursionError, OverflowError) as error:

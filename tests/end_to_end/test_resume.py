@@ -1,10 +1,8 @@
-"""Resume from every state of the run directory that a crash, a move or an upgrade leaves."""
+"""Resume from every state of the run directory that a crash or a move leaves."""
 
 import shutil
 import signal
-import sqlite3
 from collections.abc import Callable
-from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -21,8 +19,7 @@ from tests.end_to_end.processes import (
     wait_for,
     write_campaign,
 )
-
-FINISHED = Path(__file__).parents[1] / "fixtures" / "finished" / "paper"
+from tests.tampering import editing
 
 
 @pytest.fixture(scope="module")
@@ -122,15 +119,11 @@ def test_a_finished_campaign_prints_its_certificate_and_changes_nothing(started:
     assert contents(directory) == before
 
 
-def test_a_database_of_a_newer_perfbound_is_refused(started: Processes, tmp_path: Path) -> None:
-    directory = tmp_path / "run"
-    shutil.copytree(FINISHED, directory)
-    (directory / "certificate.json").unlink()
-    with closing(sqlite3.connect(directory / "campaign.db", isolation_level=None)) as connection:
-        connection.execute("DROP TRIGGER schema_no_update")
+def test_a_database_of_another_schema_version_is_refused(started: Processes, killed: Path) -> None:
+    with editing(killed) as connection:
         connection.execute("UPDATE schema SET version = ?", (SCHEMA_VERSION + 1,))
     for command in ("status", "resume"):
-        ended = started.run("perfbound", command, directory)
+        ended = started.run("perfbound", command, killed)
         assert ended.code == 1
-        numbers = f"schema version {SCHEMA_VERSION + 1}, this perfbound reads 1 to {SCHEMA_VERSION}"
+        numbers = f"schema version {SCHEMA_VERSION + 1}, this perfbound reads {SCHEMA_VERSION}"
         assert f"{numbers}; use the perfbound that wrote it" in ended.fault

@@ -39,7 +39,8 @@ from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import PerfboundError, TrajectoryError
 from perfbound.schemas.trajectory import Trajectory, Visual, encode, read_canonical, read_mcap
 from perfbound.workers.systems import load_system
-from tests.campaigns import FOLDER
+from tests.campaigns import FOLDER, config
+from tests.fakes.inmemory import campaign
 from tests.fuzz.amount import inputs
 from tests.fuzz.mutations import flipped, mutated, rewritten
 
@@ -176,9 +177,16 @@ def replayed(directory: Path) -> None:
         ledger.replay()
 
 
-@pytest.mark.parametrize("fixture", ["paper", "kriging"])
-def test_databases(tmp_path: Path, fixture: str) -> None:
-    whole = (FIXTURES / "finished" / fixture / DATABASE).read_bytes()
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run directory with its certificate."""
+    directory = tmp_path_factory.mktemp("finished") / "run"
+    campaign(directory, config("test-function", resolution=5, max_tests=3))
+    return directory
+
+
+def test_databases(tmp_path: Path, finished: Path) -> None:
+    whole = (finished / DATABASE).read_bytes()
 
     def attempt(luck: random.Random) -> None:
         directory = tmp_path / "run"
@@ -190,9 +198,9 @@ def test_databases(tmp_path: Path, fixture: str) -> None:
     each(attempt, one_in=3)
 
 
-def test_every_byte_of_the_schema_of_a_database(tmp_path: Path) -> None:
+def test_every_byte_of_the_schema_of_a_database(tmp_path: Path, finished: Path) -> None:
     """The first page, which has the header of the file and the texts of the schema, in steps."""
-    whole = (FIXTURES / "finished" / "kriging" / DATABASE).read_bytes()
+    whole = (finished / DATABASE).read_bytes()
 
     def attempt(luck: random.Random) -> None:
         directory, changed = tmp_path / "run", bytearray(whole)
@@ -205,10 +213,10 @@ def test_every_byte_of_the_schema_of_a_database(tmp_path: Path) -> None:
     each(attempt, one_in=3)
 
 
-def test_verify(tmp_path: Path) -> None:
+def test_verify(tmp_path: Path, finished: Path) -> None:
     def attempt(luck: random.Random) -> None:
         directory = tmp_path / "run"
-        shutil.copytree(FIXTURES / "finished" / "rigorous", directory)
+        shutil.copytree(finished, directory)
         chosen = luck.choice(sorted(path for path in directory.rglob("*") if path.is_file()))
         chosen.write_bytes(luck.choice((flipped, mutated))(luck, chosen.read_bytes()))
         with suppress(PerfboundError):

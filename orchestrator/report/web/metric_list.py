@@ -71,8 +71,7 @@ METRICS = (
         "counter",
         ("host", "kind"),
         "database",
-        "Attempts that failed, by kind of the reason: system (the system under test), infrastructure (all else), or "
-        "unknown in databases of old versions.",
+        "Attempts that failed, by kind of the reason: system (the system under test) or infrastructure (all else).",
     ),
     DeclaredMetric(
         "perfbound_bound",

@@ -202,29 +202,7 @@ def resumed(directory: Path) -> Ledger:
     return ledger
 
 
-def older(directory: Path, version: int) -> None:
-    """Make a database one of an earlier schema version."""
-    with closing(sqlite3.connect(directory / DATABASE)) as connection:
-        connection.executescript(
-            f"DROP TABLE discards; DROP TRIGGER schema_no_update; UPDATE schema SET version = {version}"
-        )
-        connection.execute(
-            "CREATE TRIGGER schema_no_update BEFORE UPDATE ON schema BEGIN SELECT RAISE(ABORT, 'schema'); END"
-        )
-        for column in ("by_tolerance", "ended"):
-            connection.execute(f"ALTER TABLE rollouts DROP COLUMN {column}")
-        connection.executescript("DROP TABLE set_aside; DROP TABLE opinions; DROP TABLE extensions")
-        for column in ("platform", "account", "options"):
-            connection.execute(f"ALTER TABLE sessions DROP COLUMN {column}")
-        if version < 4:
-            connection.execute("ALTER TABLE sessions DROP COLUMN revision")
-        connection.commit()
-
-
-@pytest.mark.parametrize("version", [3, 4, 5])
-def test_a_discarded_rollout_is_simulated_again_and_the_certificate_names_it(stuck: Path, version: int) -> None:
-    if version < 5:
-        older(stuck, version)
+def test_a_discarded_rollout_is_simulated_again_and_the_certificate_names_it(stuck: Path) -> None:
     with pytest.raises(PerfboundError, match="the time grids differ"):
         resumed(stuck)
     found = discard_rollout(stuck, str(ODD), "its grid is that of\nanother simulator")

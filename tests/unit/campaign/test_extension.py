@@ -321,18 +321,6 @@ def test_an_envelope_of_before_is_taken_away(before: Path) -> None:
     assert not (before / files.CERTIFICATE).exists()
 
 
-def test_a_database_of_before_is_upgraded(before: Path, run: Path) -> None:
-    edit(before, "UPDATE schema SET version = 5")
-    edit(before, "DROP TABLE extensions")
-    edit(before, "ALTER TABLE sessions DROP COLUMN account")
-    edit(before, "ALTER TABLE sessions DROP COLUMN options")
-    edit(before, "ALTER TABLE rollouts DROP COLUMN by_tolerance")
-    edit(before, "ALTER TABLE rollouts DROP COLUMN ended")
-    extended(before, campaign(), 10)
-    assert text(before) == text(run)
-    assert not verified(before)
-
-
 # Forgeries
 
 

@@ -512,7 +512,7 @@ def test_hostile_names_are_text(one: Path) -> None:
 @pytest.mark.parametrize("path", ["../../etc/passwd", "/etc/passwd", "trajectories/../../x", "javascript:alert(1)"])
 def test_a_path_that_leaves_the_run_directory_is_no_link_and_is_not_read(one: Path, path: str) -> None:
     row = {"problem": "sim_gap", "test": 0, "variant": "true", "replicate": 9, "seed": 1}
-    insert(one, "rollouts", seq=10**6, **row, sha256="0" * 64, size=1, path=path, robustness=-0.04)
+    insert(one, "rollouts", seq=10**6, **row, sha256="0" * 64, size=1, path=path, robustness=-0.04, by_tolerance=0)
     scene = Collector(one).rollouts_of_test("sim_gap", 0)
     assert scene.error is not None
     assert "is not a path in the run directory" in scene.error
@@ -606,7 +606,7 @@ def test_a_long_campaign_has_few_points(one: Path) -> None:
     statistics, about = WorkerStatistics(), ChangeReader(one).read().header
     outcomes = tuple(AttemptOutcome("r", 1, "w", "recorded", float(t), 0.5, 1.0) for t in range(5000))
     lost = AttemptOutcome("r", 1, "w", "hung", 5000.0, 0.0, 10.0)
-    session = Session("h", 0.0, None, None, None, None, None)
+    session = Session("h", 0.0, None, None, "x86", None, None)
     statistics.add(Changes(about, (), {}, (), (*outcomes, lost), {"w": "h"}, (session, session)))
     found = statistics.throughput()
     assert len(found.seconds) == len(found.recorded) == 200

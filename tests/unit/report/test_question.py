@@ -31,13 +31,13 @@ def test_the_question_names_what_must_be_at_least_what() -> None:
 
 
 def test_the_evidence_comes_from_all_sessions() -> None:
-    old = Session("first", 10.0, "cars.py:cars", "abc", None, None, None)
+    old = Session("first", 10.0, "cars.py:cars", "abc", "x86", None, None)
     new = Session("second", 20.0, "cars.py:cars", "def", "x86", "ada", None)
     found = provenance(HEADER, (old, new, new), 35.5)
     assert (found.accounts, found.hosts, found.platforms) == (("ada",), ("first", "second"), ("x86",))
     assert (found.started, found.ended, found.commit) == (10.0, 35.5, "def")
     assert (found.digest, found.file) == (HEADER.config_sha256, campaign_text(CAMPAIGN))
-    many = provenance(HEADER, [Session(f"h{k}", 1.0, None, None, None, None, None) for k in range(50)], None)
+    many = provenance(HEADER, [Session(f"h{k}", 1.0, None, None, "x86", None, None) for k in range(50)], None)
     assert len(many.hosts) == MOST_NAMED
 
 

@@ -3,8 +3,6 @@
 import json
 import os
 import shlex
-import sqlite3
-from contextlib import closing
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -24,7 +22,6 @@ from perfbound.orchestrator.run.link import Link
 from perfbound.orchestrator.run.session import RunOptions
 from perfbound.orchestrator.store.journal import INSTALLED, Journal, Origin
 from perfbound.orchestrator.store.rows import DATABASE
-from perfbound.orchestrator.store.untrusted import read_untrusted
 from perfbound.schemas.errors import LinkError, PerfboundError
 from perfbound.schemas.facts import Header
 from perfbound.schemas.link import LOCAL, Tls
@@ -96,20 +93,6 @@ def test_what_is_no_endpoint_is_not_stored(tmp_path: Path) -> None:
     with pytest.raises(LinkError, match="--connect 'tcp/user:password@gate:1' is not an endpoint"):
         again(directory, RunOptions(0, Link(LOCAL, routers=("tcp/user:password@gate:1",))).origin("test-function"))
     assert b"password" not in (directory / DATABASE).read_bytes()
-
-
-def test_a_database_of_before_is_read_and_continued_as_it_is(tmp_path: Path) -> None:
-    directory = begun(tmp_path / "run")
-    with closing(sqlite3.connect(directory / DATABASE)) as connection:
-        connection.executescript(
-            "DROP TRIGGER schema_no_update; UPDATE schema SET version = 7; ALTER TABLE sessions DROP COLUMN options"
-        )
-    again(directory, LINKED.origin("test-function"))
-    assert continue_command(directory) == f"perfbound resume {directory}"
-    assert Collector(directory).refresh().resume == f"perfbound resume {directory}"
-    assert status_object(directory)["resume"] == f"perfbound resume {directory}"
-    assert read_untrusted(directory).rollouts == ()
-    assert local_workers(directory, None, [], extends=False) == 2
 
 
 @pytest.mark.parametrize(

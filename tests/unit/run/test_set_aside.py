@@ -3,7 +3,6 @@
 import io
 import itertools
 import json
-import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -17,7 +16,6 @@ from perfbound.orchestrator.run.progress import worker_line
 from perfbound.orchestrator.run.service import RunStatus
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.progress import read_progress
-from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import PerfboundError
 from perfbound.schemas.messages import ResultHeader, WorkerState
@@ -98,15 +96,6 @@ def test_a_system_that_does_not_end_costs_two_deadlines_and_is_reported_with_its
         campaign(tmp_path / "run", config, workers=1)
     assert "deadline = 1 s at the start (" in str(end.value)
     assert "attempt 2 on worker-0" in str(end.value)
-
-
-def test_an_older_database_takes_a_pause_without_a_place_for_it(tmp_path: Path) -> None:
-    shutil.copy(Path(__file__).parents[2] / "fixtures" / "schema-2" / DATABASE, tmp_path)
-    journal = Journal.open(tmp_path)
-    with journal.transaction():
-        journal.attempts.set_aside("worker", "w", 30.0, "why")
-    journal.close()
-    assert read_progress(tmp_path).pauses == ()
 
 
 def test_the_end_of_a_pause_is_written_too(tmp_path: Path) -> None:

@@ -26,8 +26,6 @@ from perfbound.schemas.values import Proposal
 from tests.campaigns import config
 from tests.fakes.inmemory import Log, campaign
 
-FIXTURES = Path(__file__).parents[2] / "fixtures"
-
 
 class Watching(Log):
     """Reads the counts at every tick, as a page does."""
@@ -112,19 +110,11 @@ def test_a_discarded_rollout_leaves_the_counts_as_they_are(watched: tuple[Path, 
 
 def test_no_query_reads_what_was_read_before(watched: tuple[Path, Watching]) -> None:
     """Every one of them begins at the last number, as SQLite's plan for it says."""
-    outcomes = counts._OUTCOMES.format(kind=counts._KIND.format(column="kind"))
     with closing(sqlite3.connect(watched[0] / DATABASE)) as connection:
-        for query in (counts._ROLLOUTS, counts._TESTS, counts._BOUNDS, counts._ATTEMPTS, outcomes):
+        for query in (counts._ROLLOUTS, counts._TESTS, counts._BOUNDS, counts._ATTEMPTS, counts._OUTCOMES):
             plan = connection.execute(f"EXPLAIN QUERY PLAN {query}", [0] * query.count("?")).fetchall()
             assert "USING INTEGER PRIMARY KEY (rowid>?)" in plan[0][3], query
             assert not [step for *_, step in plan if step.startswith("SCAN")], query
-
-
-@pytest.mark.parametrize("name", ["schema-1", "schema-2", "schema-3"])
-def test_databases_of_earlier_versions(name: str) -> None:
-    found = CountReader(FIXTURES / name).read()
-    assert sum(each.rollouts for each in found.series.values()) > 0
-    assert set(found.attempts) == {host for host, _ in found.outcomes}
 
 
 def test_no_campaign_and_a_damaged_one(watched: tuple[Path, Watching], tmp_path: Path) -> None:

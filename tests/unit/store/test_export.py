@@ -5,7 +5,6 @@ import io
 import math
 import os
 import resource
-import shutil
 import sqlite3
 import sys
 import tracemalloc
@@ -24,7 +23,6 @@ from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import export
 from perfbound.orchestrator.store.export_tables import export_table, robustness_unit, unit
 from perfbound.orchestrator.store.journal import Journal
-from perfbound.orchestrator.store.rows import SCHEMA_VERSION
 from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.errors import JournalError, PerfboundError
 from perfbound.schemas.facts import (
@@ -322,17 +320,6 @@ def test_failures_are_the_attempts_without_a_result(tmp_path: Path) -> None:
     assert all(float(row["ended (s)"]) > 1.7e9 for row in found)
 
 
-@pytest.mark.parametrize("name", ["rules-1/rigorous-pair-stopped", "schema-2"])
-def test_failures_in_a_database_without_kinds_have_none(tmp_path: Path, name: str) -> None:
-    shutil.copy(Path(__file__).parents[2] / "fixtures" / name / "campaign.db", tmp_path)
-    journal = Journal.open(tmp_path)
-    with journal.transaction():
-        journal.attempts.ended(Attempt(RolloutId("sim_gap", 0, "true", 0), 9), "w", Failure("system", "it raised"))
-    journal.close()
-    (row,) = exported(tmp_path)["failures"]
-    assert (row["worker"], row["kind"], row["reason"]) == ("w", "", "it raised")
-
-
 def test_what_was_compared_and_who_was_set_aside(tmp_path: Path) -> None:
     journal, which = journal_of(tmp_path, config("segway-paper")), RolloutId("sim_gap", 0, "true", 0)
     with journal.transaction():
@@ -349,13 +336,6 @@ def test_what_was_compared_and_who_was_set_aside(tmp_path: Path) -> None:
     assert found["opinions"][1]["sha256"] == "w2" * 32
     (pause,) = found["set_aside"]
     assert [pause[name] for name in ("kind", "name", "seconds (s)", "reason")] == ["worker", "w2", "inf", "'=1+1"]
-
-
-@pytest.mark.parametrize("name", ["rules-1/rigorous-pair-stopped", "schema-2"])
-def test_older_databases_have_neither_opinions_nor_pauses(tmp_path: Path, name: str) -> None:
-    shutil.copy(Path(__file__).parents[2] / "fixtures" / name / "campaign.db", tmp_path)
-    found = exported(tmp_path)
-    assert (found["opinions"], found["set_aside"]) == ([], [])
 
 
 # Names and units
@@ -652,7 +632,7 @@ def test_the_spot_check_has_the_sign_of_the_problem_that_it_tests() -> None:
     found = config("segway-scenario")
     header = Header.new(found, load_system("test-function").spec, {})
     (problem,) = found.problems
-    columns = [column.name for column in export_table("tests", header, SCHEMA_VERSION).columns]
+    columns = [column.name for column in export_table("tests", header).columns]
     row = SimpleNamespace(
         test=0,
         node=0,
@@ -668,9 +648,9 @@ def test_the_spot_check_has_the_sign_of_the_problem_that_it_tests() -> None:
     )
     for name in (problem.name, "spot_check"):
         row.problem = name
-        (exported,) = export_table("tests", header, SCHEMA_VERSION).expand(row)
+        (exported,) = export_table("tests", header).expand(row)
         assert exported[columns.index("observation")] == 0.3
         assert exported[columns.index("sense")] == "min"
     row.problem = "recheck"
-    (exported,) = export_table("tests", header, SCHEMA_VERSION).expand(row)
+    (exported,) = export_table("tests", header).expand(row)
     assert exported[columns.index("observation")] == -0.3, "no objective"

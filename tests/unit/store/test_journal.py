@@ -2,12 +2,11 @@
 
 import hashlib
 import os
-import shutil
 import signal
 import sqlite3
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -18,12 +17,15 @@ import sqlalchemy as sa
 from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.campaign.software import software
 from perfbound.orchestrator.store import read, tables
-from perfbound.orchestrator.store.changes import ChangeReader
+from perfbound.orchestrator.store.attempt_record import table_digests
+from perfbound.orchestrator.store.changes import ChangeReader, rollouts_of
+from perfbound.orchestrator.store.counts import CountReader
+from perfbound.orchestrator.store.export import export
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.lock import LOCK_FILE, campaign_lock, is_held
-from perfbound.orchestrator.store.progress import read_progress
+from perfbound.orchestrator.store.progress import header_alone, read_progress, session_options
 from perfbound.orchestrator.store.rows import DATABASE, SCHEMA_VERSION
-from perfbound.orchestrator.store.untrusted import read_untrusted
+from perfbound.orchestrator.store.untrusted import read_untrusted, read_untrusted_header
 from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import JournalError, PerfboundError
@@ -37,6 +39,7 @@ from perfbound.schemas.values import Bound, Observation, Proposal
 from perfbound.workers.simulate import run_request
 from perfbound.workers.systems import load_system
 from tests.campaigns import UNCHECKED
+from tests.tampering import editing
 
 PRESET = Path(__file__).parents[3] / "deploy" / "campaigns" / "test-function.toml"
 R0 = RolloutId("maximum", 0, "true", 0)
@@ -217,8 +220,6 @@ def test_the_largest_numbers_of_messages_come_back_and_sums_of_older_ones_are_fi
 # Failures and their kinds
 
 LOST, RAISED = Failure("infrastructure", "worker lost for 3 s"), Failure("system", "the solver did not converge")
-PAST = Path(__file__).parents[2] / "fixtures"
-FIXTURES = {1: PAST / "rules-1" / "rigorous-pair-stopped", 2: PAST / "schema-2"}
 
 
 def ended(directory: Path) -> list[tuple[str, str | None]]:
@@ -277,30 +278,6 @@ def test_a_rollout_that_failed_in_the_system_and_was_recorded_is_irreproducible(
     assert found.system_failures == sum(outcome == RAISED for _, _, outcome in outcomes)
 
 
-@pytest.mark.parametrize("version", FIXTURES)
-def test_a_database_without_kinds_is_read_and_written_as_it_is(tmp_path: Path, version: int) -> None:
-    shutil.copy(FIXTURES[version] / DATABASE, tmp_path)
-    with closing(sqlite3.connect(tmp_path / DATABASE)) as connection:
-        assert connection.execute("SELECT version FROM schema").fetchall() == [(version,)]
-        before = connection.execute("SELECT sql FROM sqlite_master").fetchall()
-    opened = Journal.open(tmp_path)
-    facts = list(opened.facts())
-    end(opened, (R0, 1, LOST), (R0, 1, RAISED), (R0, 2, RAISED), (R0, 3, "recorded"))
-    opened.close()
-    with closing(sqlite3.connect(tmp_path / DATABASE)) as connection:
-        assert connection.execute("SELECT sql FROM sqlite_master").fetchall() == before, "it is not migrated"
-        rows = connection.execute("SELECT attempt, outcome FROM outcomes WHERE rollout = ?", [str(R0)]).fetchall()
-    # Without a column for the kind, a second failure of an attempt adds nothing.
-    assert rows == [(1, LOST.reason), (2, RAISED.reason), (3, "recorded")]
-    assert len(facts) > 20
-    assert len(read_untrusted(tmp_path).rollouts) > 5
-    assert read.irreproducible(tmp_path) == 0
-    found = read_progress(tmp_path)
-    assert found.failures == 2
-    assert found.system_failures is None
-    assert {each.kind for each in ChangeReader(tmp_path).read().outcomes} == {None}
-
-
 def test_hand_backs_of_rollouts_without_a_result_are_counted(journal: Journal, tmp_path: Path) -> None:
     other, done = RolloutId("maximum", 1, "true", 0), RolloutId("maximum", 2, "true", 0)
     end(journal, (R0, 1, "handed back"), (R0, 2, LOST), (R0, 3, "handed back"), (other, 1, LOST))
@@ -308,14 +285,12 @@ def test_hand_backs_of_rollouts_without_a_result_are_counted(journal: Journal, t
     assert read.hand_backs(tmp_path) == {R0: 2}
 
 
-@pytest.mark.parametrize("name", ["kind", "shape"])
-def test_a_table_with_the_columns_of_no_version_is_not_perfbound_s(journal: Journal, tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize("change", ["RENAME COLUMN kind TO shape", "DROP COLUMN kind", "ADD COLUMN more"])
+def test_a_table_with_other_columns_is_not_perfbound_s(journal: Journal, tmp_path: Path, change: str) -> None:
     journal.close()
+    assert read_untrusted(tmp_path).rollouts == ()
     with closing(sqlite3.connect(tmp_path / DATABASE)) as connection:
-        connection.execute(f"ALTER TABLE outcomes RENAME COLUMN kind TO {name}")
-    if name == "kind":
-        assert read_untrusted(tmp_path).rollouts == ()
-        return
+        connection.execute(f"ALTER TABLE outcomes {change}" + (" TEXT" if "ADD" in change else ""))
     with pytest.raises(JournalError, match="the table outcomes has other columns"):
         read_untrusted(tmp_path)
 
@@ -338,11 +313,62 @@ def test_the_locks_of_the_database_are_kept_while_it_is_open(journal: Journal, t
         assert "BlockingIOError" in ended.stderr, f"{name}: no lock"
 
 
-def test_a_newer_schema_is_refused(journal: Journal, tmp_path: Path) -> None:
+WAYS: dict[str, Callable[[Path], object]] = {
+    "open": Journal.open,
+    "header": read.stored_header,
+    "failures": read.failures,
+    "irreproducible": read.irreproducible,
+    "contradicted": read.contradicted,
+    "progress": read_progress,
+    "header alone": header_alone,
+    "options": session_options,
+    "changes": lambda directory: ChangeReader(directory).read(),
+    "rollouts": lambda directory: rollouts_of(directory, "maximum", 0),
+    "counts": lambda directory: CountReader(directory).read(),
+    "export": lambda directory: export(directory, directory / "export"),
+    "digests": table_digests,
+    "untrusted": read_untrusted,
+    "untrusted header": read_untrusted_header,
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize(
+    ("version", "named"),
+    [
+        (0, "schema version 0"),
+        (2, "schema version 2"),
+        (9, "schema version 9"),
+        ("1", "schema version '1'"),
+        ("a\n\x1b[2J" + "b" * 99, "schema version 'a\\n\\x1b[2Jbbbbbbbbb"),
+        (b"\xff", "schema version b'\\xff'"),
+        (None, "no schema version"),
+    ],
+    ids=["0", "2", "9", "digit", "text", "bytes", "none"],
+)
+def test_another_schema_version_is_refused(
+    journal: Journal, tmp_path: Path, version: Any, named: str, way: str
+) -> None:
     journal.close()
-    edit(tmp_path, f"UPDATE schema SET version = {SCHEMA_VERSION + 1}")
-    with pytest.raises(JournalError, match=f"schema version {SCHEMA_VERSION + 1}, this perfbound reads"):
-        Journal.open(tmp_path)
+    with editing(tmp_path) as database:
+        database.execute("DROP TABLE schema")
+        database.execute("CREATE TABLE schema (version)")
+        database.executemany("INSERT INTO schema VALUES (?)", [] if version is None else [[version]])
+        if version == 2:  # whose other tables had other columns
+            database.execute("ALTER TABLE outcomes DROP COLUMN kind")
+    with pytest.raises(JournalError) as refusal:
+        WAYS[way](tmp_path)
+    numbers = f"{named}, this perfbound reads {SCHEMA_VERSION}"
+    assert str(refusal.value) == f"{tmp_path / DATABASE}: {numbers}; use the perfbound that wrote it"
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_database_without_its_table_of_the_version_is_refused(journal: Journal, tmp_path: Path, way: str) -> None:
+    journal.close()
+    with editing(tmp_path) as database:
+        database.execute("DROP TABLE schema")
+    with pytest.raises(JournalError, match=r"campaign\.db: not a campaign database \(no such table: schema\)"):
+        WAYS[way](tmp_path)
 
 
 def test_other_rules_are_refused(journal: Journal, tmp_path: Path) -> None:
