@@ -143,6 +143,7 @@ def _failed(error: BaseException, seconds: float) -> Measured:
 def _grid(trajectory: Trajectory, horizon: float) -> SampleTimes:
     t = trajectory.samples[:, 0]
     steps = np.diff(t) if len(t) > 1 else np.zeros(1)
+    steps = steps[steps > 0.0] if steps.any() else steps  # two equal stamps are a jump, and no step
     return SampleTimes(
         samples=len(t),
         first=float(t[0]),

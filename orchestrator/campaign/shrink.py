@@ -23,7 +23,7 @@ class Shrink:
 
     Every rollout has variant and seed of the counterexample, so that the start alone differs. Where a failing start
     lies behind a passing one the bisection finds one of the borders; a start outside the region counts as one that
-    passes. The nearest failing start so far is the answer at any moment.
+    passes. The last failing start so far is the answer at any moment.
     """
 
     name = SHRINK
@@ -41,7 +41,7 @@ class Shrink:
         self._passing, self._failing = 0.0, 1.0
         self._starts: dict[float, Start] = {0.0: self.nominal, 1.0: start}
         self.best: tuple[Start, float, RolloutId] = (start, found.robustness or 0.0, found.rollout)
-        """The nearest failing start, its robustness and its rollout."""
+        """The failing start next to one that passes, its robustness and its rollout."""
         self._next: float | None = 0.0
         self._skip_outside()
         budget = falsify.shrink_tests if self._is_open else 0

@@ -67,7 +67,8 @@ class ShortBound:
 def instead_of_refuted(claim: CertificateClaim) -> str:
     """Return what to do about refuted assumptions."""
     kinds = {each.partition("/")[0] for each in claim.refuted}
-    if kinds & {"rkhs_norm", "noise_scale", "kernel", "prior_mean"}:
+    # What is no rollout of its start refutes any constants.
+    if "reproducible_rollouts" not in kinds and kinds & {"rkhs_norm", "noise_scale", "kernel", "prior_mean"}:
         return (
             "Other constants in a new campaign with a new seed: `perfbound calibrate` proposes some that its rollouts "
             "do not refute. Method `sample` needs no constants; it asks about starts that are drawn at random."

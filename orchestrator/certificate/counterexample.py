@@ -1,4 +1,4 @@
-"""The counterexample of a certificate in words, and the nearest failing start, if it was sought."""
+"""The counterexample of a certificate in words, and what a bisection made of it, if it was sought."""
 
 from collections.abc import Mapping
 
@@ -25,11 +25,11 @@ def _shrunk_words(found: Counterexample, unit: str, units: Mapping[str, str] | N
         return ""
     tried = f"{near.rollouts} rollout{'' if near.rollouts == 1 else 's'} towards {named_start(near.nominal, units)}"
     if near.rollout == found.rollout:
-        return f"; after {tried} no nearer start fails"
+        return f"; after {tried} no start that was tried on the line there fails"
     where = (
         f"{named_start(near.start, units)}, robustness {margin_words(near.robustness, unit)} (rollout {near.rollout})"
     )
-    return f"; nearest failing start, after {tried}: {where}"
+    return f"; on the line there, with this seed, the failing start next to one that passes, after {tried}: {where}"
 
 
 def margin_words(robustness: float, unit: str) -> str:

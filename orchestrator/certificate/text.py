@@ -207,9 +207,17 @@ def notes(predicate: Predicate, number: int) -> tuple[str, ...]:
         both = ", in both problems" if composes(claim.rule) else ""
         values = "; ".join(f"with {VARIED[row.constant, row.factor]} {_varied(claim, row.bound)}" for row in rows)
         found.append(f"The same tests{both}: {values}.")
-    if number == 0 and predicate.spot_check is not None and predicate.spot_check.most_starts is not None:
-        found.append(_sentence_on_most_starts(predicate.spot_check.most_starts))
+    most = predicate.spot_check and predicate.spot_check.most_starts
+    # Where rollouts do not follow from their starts, fresh ones show as little.
+    if number == 0 and most and not any(each.startswith("reproducible_rollouts") for each in claim.refuted):
+        found.append(_sentence_on_most_starts(most))
     return tuple(found)
+
+
+def clip_in_words(predicate: Predicate, claim: CertificateClaim) -> tuple[str, ...]:
+    """Return the sentence on the values that the clip hides behind a claim; none where it hides none that were seen."""
+    hidden = (each for each in predicate.assumptions if _hides_values(each, claim))
+    return tuple(_sentence_on_clip(each.values) for each in hidden)
 
 
 def _hides_values(assumption: Assumption, claim: CertificateClaim) -> bool:

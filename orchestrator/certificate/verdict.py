@@ -42,7 +42,7 @@ from .opposite import (
     violated,
 )
 from .refutation_text import refutation_words
-from .text import CERTAIN, NO_SHARE, VACUOUS, claim_words, nothing_shown
+from .text import CERTAIN, NO_SHARE, VACUOUS, claim_words, clip_in_words, nothing_shown
 
 EMPTY = {
     VACUOUS: "The bound shows nothing: it is an end of the clip, and holds without any rollout.",
@@ -91,6 +91,8 @@ def campaign_verdict(
             least, bound = outward(violations.least or 0.0, ">="), outward(claim.bound, ">=")
             false = f"A rollout has the robustness {least}, less than the bound {bound}: the claim is false."
             found = replace(found, reasons=(false, *found.reasons))
+    if found.by_rollouts:
+        found = replace(found, reasons=(*found.reasons, *_by_tolerance(predicate)))
     stated = claim.model_copy(update={"refuted": ("by a rollout",)}) if contradicted else claim
     is_clipped = violations.least is not None and config.clip is not None and violations.least <= config.clip[0]
     return CampaignVerdict(
@@ -136,6 +138,18 @@ def guarantee(claim: CertificateClaim, unit: str, risk_weight: float) -> str:
     return f"{head} {margin} from {where}, {chance}"
 
 
+def _by_tolerance(predicate: Predicate) -> tuple[str, ...]:
+    """Return the sentence on rollouts whose sign may depend on how a time stamp at a border is read; none for none."""
+    found = next((each for each in predicate.assumptions if each.id == "borders"), None)
+    if found is None:
+        return ()
+    values = found.values or {}
+    return (
+        f"Whether {values['number']} of {values['rollouts']} rollouts violate the specification may depend on a time "
+        f"stamp that counts as the border of a window (the first: {values['first']}; assumption `borders`).",
+    )
+
+
 def _required_probability(config: CampaignConfig, claim: CertificateClaim) -> float:
     """Return what the file requires; by default 1 - delta, with the deltas of a composed claim added up."""
     if config.required_probability is not None:
@@ -158,6 +172,7 @@ def _shown(header: Header, predicate: Predicate, required: Required) -> VerdictF
         return None
     limit = margin_text(f"{required.bound:g}", claim, required.unit)
     reasons = [f"Required {'at least' if claim.sense == '>=' else 'at most'} {limit}."]
+    reasons += clip_in_words(predicate, claim)
     if claim.quantity == "next_rollout":
         reasons.append(ONE_ROLLOUT)
     if (partner := other_side(predicate)) is not None:

@@ -24,7 +24,10 @@ def confidence_sentences(verdict: CampaignVerdict, predicate: Predicate, *, repe
     """Yield how sure a verdict is; `repeated` tells whether a repetition of the worst rollout gave the same."""
     unit = "" if verdict.unit == "1" else one_line(verdict.unit)
     if verdict.by_rollouts:
+        borders = any(each.id == "borders" for each in predicate.assumptions)
         yield _shown_by_rollouts(verdict.by_rollouts, verdict.required_probability, repeated=repeated)
+        if borders:
+            yield "It may depend on how time stamps at borders of windows are read: see the assumption `borders`."
         return
     claim = predicate.claims[0]
     if claim.refuted:
@@ -52,7 +55,8 @@ def _shown_by_rollouts(how: ByRollouts, probability: float, *, repeated: bool) -
 def anyway(verdict: CampaignVerdict, predicate: Predicate) -> str:
     """Return what fresh starts prove without B and kernel; empty where they prove nothing, or a violation is shown."""
     most = predicate.spot_check and predicate.spot_check.most_starts
-    if verdict.verdict == "VIOLATED":
+    refuted = any(each.startswith("reproducible_rollouts") for each in predicate.claims[0].refuted)
+    if verdict.verdict == "VIOLATED" or refuted:
         return ""
     unit = "" if verdict.unit == "1" else one_line(verdict.unit)
     return _of_fresh_starts(most, unit) if most else ""

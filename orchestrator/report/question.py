@@ -2,17 +2,19 @@
 
 from ...schemas.claims import is_sampled
 from ...schemas.facts import Header
-from ...schemas.problems import Quantity
+from ...schemas.problems import Quantity, Reading
+from ..campaign.clip import hiding, reach_of
+from ..certificate.bound_text import clip_words
 from ..store.export_tables import robustness_unit
 
-OF_MARGIN: dict[Quantity, str] = {
-    "robustness": "the margin of every rollout",
-    "expected_robustness": "the mean margin over the noise",
-    "rho_star": "the mean margin less {risk:g} standard deviations",
-    "mean": "the mean margin",
-    "risk": "the mean margin less {risk:g} standard deviations",
+OF_MARGIN: dict[Quantity, tuple[str, Reading]] = {
+    "robustness": ("the margin of every rollout", "each"),
+    "expected_robustness": ("the mean margin over the noise", "mean"),
+    "rho_star": ("the mean margin less {risk:g} standard deviations", "risk"),
+    "mean": ("the mean margin", "mean"),
+    "risk": ("the mean margin less {risk:g} standard deviations", "risk"),
 }
-"""Quantities of a claim about a margin, and what is bounded."""
+"""Quantities of a claim about a margin, what is bounded, and how it reads the values."""
 
 
 def question_words(header: Header, quantity: Quantity | None, listed: int | None = None) -> str:
@@ -26,8 +28,11 @@ def question_words(header: Header, quantity: Quantity | None, listed: int | None
     every = "From every start" if listed is None else f"From each of the {listed:,} listed starts"
     where = "At starts that are drawn as declared" if is_sampled(quantity) else every
     if quantity in OF_MARGIN and config.formula is not None:
-        margin = OF_MARGIN[quantity].format(risk=config.risk_weight)
-        least = f"{where}, {margin} must be at least {config.required_margin:g}{shown}"
+        margin, reading = OF_MARGIN[quantity]
+        within, required = reach_of(config.formula, header.spec.after_end), config.required_margin
+        clip = hiding(config.clip, within, reading, ">=", risk_weight=config.risk_weight, bound=required)
+        clipped = "" if clip is None else f", {clip_words(clip)},"
+        least = f"{where}, {margin.format(risk=config.risk_weight)}{clipped} must be at least {required:g}{shown}"
         return f"{least}. The margin of a rollout is its robustness: 0 is just met, and below 0 it violates."
     if quantity == "failure_probability":
         limit = config.required_at_most

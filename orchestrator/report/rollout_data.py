@@ -117,7 +117,7 @@ class FoundCounterexample:
     problem: str
     test: int
     sentence: str
-    """Its start, seed and robustness in words; also the nearest failing start, if it was sought."""
+    """Its start, seed and robustness in words; also what a bisection made of it, if it was sought."""
     command: str
     """Command that simulates it again."""
 

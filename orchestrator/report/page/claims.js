@@ -25,7 +25,7 @@ function titleSection(report) {
     "header#title",
     el("p.kind", ["perfbound campaign", ...whenAndWho(report)].join(" \u00b7 ")),
     el("h1", nameElement(report.name, 120), el("span.state", { "data-state": report.state }, short(report.state, 20))),
-    el("p.question", asks, `from ${report.problems.some(isListed) ? "each of " : "every start with "}${spaceText(report)}.`),
+    el("p.question", asks, `from ${report.problems.some(isListed) ? "each of " : report.problems.some((each) => each.drawn !== null) ? "starts that are drawn with " : "every start with "}${spaceText(report)}.`),
     el("p.question", el("strong", system[0]), system[1]),
     report.required ? el("p.question", el("strong", "Asked: "), sentence(report.required)) : null,
   );
@@ -173,7 +173,8 @@ const FIRST_OF_ALL = ["simulator_is_the_system", "rkhs_norm", "kernel", "noise_s
 function restsOn(report) {
   if (report.verdict.by_rollouts !== null) {
     const chance = report.verdict.by_rollouts === "certain" ? "" : ", which must be independent of each other";
-    return [el("p", `On the rollouts alone${chance}, and on what no rollout can check: that the real system behaves like the simulator.`)];
+    const borders = report.assumptions.some((each) => each.id === "borders") ? ", on how their time stamps at borders of windows are read" : "";
+    return [el("p", `On the rollouts alone${chance}${borders}, and on what no rollout can check: that the real system behaves like the simulator.`)];
   }
   if (report.claims[0].vacuous) return [el("p", "On nothing: the bound holds without any rollout.")];
   const mine = report.assumptions.filter((each) => report.claims[0].assumptions.includes(each.id));

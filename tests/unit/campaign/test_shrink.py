@@ -157,7 +157,7 @@ def test_the_certificate_says_it_in_words(tmp_path: Path) -> None:
     console = Console(record=True, width=400)
     print_certificate(certificate(tmp_path), console)
     text = console.export_text()
-    assert "nearest failing start, after " in text
+    assert "on the line there, with this seed, the failing start next to one that passes, after " in text
     assert "towards z1 = 0.5, z2 = 0.5: z1 = " in text
 
 
