@@ -163,8 +163,8 @@ DIGESTS = {
     "deploy/examples/cartpole/cartpole": "73f4d32151941100",
     "deploy/examples/pendulum/pendulum": "9ca9cb4ed16df842",
     "deploy/examples/pendulum/shell": "2e50eca709c6e1a8",
-    "tests/fixtures/finished/paper": "6c016e8b80a390b4",
-    "tests/fixtures/finished/rigorous": "cbe4195ccc95137a",
+    "tests/fixtures/finished/paper": "7474140f122b0407",
+    "tests/fixtures/finished/rigorous": "a3e25127ca525b7c",
     "tests/fixtures/finished/scenario": "c8d413e0a09ff3fd",
 }
 
