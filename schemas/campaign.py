@@ -68,7 +68,7 @@ class CampaignConfig(CampaignSize):
         default=None,
         exclude_if=lambda value: value is None,
         description="of the verdict, where the first claim is a bound from above: the largest value that is "
-        "acceptable, such as a failure probability; without it such a claim has no verdict but `NOT SHOWN`",
+        "acceptable, such as a failure probability; without it such a claim is never `SHOWN`",
     )
     required_probability: float | None = Field(
         default=None,
