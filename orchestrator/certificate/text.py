@@ -232,8 +232,8 @@ def _hides_values(assumption: Assumption, claim: CertificateClaim) -> bool:
 def _sentence_on_clip(values: Mapping[str, object] | None) -> str:
     found = values or {}
     return (
-        f"It is about the clipped robustness: {found['at_low']} of {found['values']} values are at the lower clip "
-        f"{found['low']}, so the robustness itself may be lower by any amount, its mean too."
+        f"The claim is about the clipped robustness: {found['at_low']} of {found['values']} values are at the lower "
+        f"clip {found['low']}, so the robustness itself may be lower by any amount, its mean too."
     )
 
 

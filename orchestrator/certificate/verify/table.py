@@ -41,7 +41,11 @@ def _conclusion(found: Verification) -> str:
     counts = {status: sum(check.status == status for check in found.checks.lines()) for status in COLOURS}
     good, signature = found.checks.good, found.checks.found.get("signature")
     signed = signature is not None and signature.status == "passed"
-    verdict = f"VERIFIED{'' if signed else ' (the signature was not checked)'}" if good else "NOT VERIFIED"
+    record = found.checks.found.get("attempts")
+    missing = [] if signed else ["the signature"]
+    missing += ["the record of attempts"] if record is not None and record.status == "skipped" else []
+    unchecked = f" ({' and '.join(missing)} {'was' if len(missing) == 1 else 'were'} not checked)" if missing else ""
+    verdict = f"VERIFIED{unchecked}" if good else "NOT VERIFIED"
     total = ", ".join(f"{count} {status}" for status, count in counts.items() if count)
     refuted = good and found.certificate is not None and found.certificate.predicate.claims[0].refuted
     return f"{verdict}: {total}{f'; {REFUTED}' if refuted else ''}"

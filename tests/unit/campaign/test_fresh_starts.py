@@ -100,7 +100,9 @@ def test_values_that_the_clip_hides_at_fresh_starts_are_said_beside_the_claim(tm
     assert clip["values"]["values"] == 8 * 4 + found["spot_check"]["rollouts"]["nominal"]
     certificate = files.read(tmp_path)
     assert certificate is not None
-    assert any(note.startswith("It is about the clipped robustness: ") for note in text.notes(certificate.predicate, 0))
+    assert any(
+        note.startswith("The claim is about the clipped robustness: ") for note in text.notes(certificate.predicate, 0)
+    )
 
 
 def test_a_clip_many_times_the_noise_hides_no_fresh_start(tmp_path: Path) -> None:

@@ -229,6 +229,8 @@ def test_rollouts_that_do_not_follow_from_their_seeds_show_nothing_of_a_start(tm
     found = verdict(tmp_path, RIGOROUS, lambda _: float(drawn.choice((-0.4, 0.6))), recheck=20)
     assert found.verdict == "NOT SHOWN"
     assert "that a rollout follows from its seed (reproducible_rollouts)" in found.reasons[0]
+    assert "rkhs_norm" in found.reasons[0]
+    assert found.advice == ("Find the cause of what is refuted first: more rollouts do not help.",)
     assert found.violations.violations > 0
 
 
@@ -282,6 +284,21 @@ def test_a_margin_of_clipped_values_says_so(tmp_path: Path) -> None:
     for each in (unseen, found):
         assert "(expected robustness: the mean over the noise, clipped to [-0.2, 4])" in each.claim
         assert each.clip == (-0.2, 4.0)
+
+
+def test_a_verdict_says_how_many_values_the_clip_hides(tmp_path: Path) -> None:
+    """A mean of clipped values is shown; one rollout was far below the clip."""
+
+    def rare(request: RolloutRequest) -> float:
+        return -1000.0 if request.x == (1.0, 1.0) and request.seed % 7 == 0 else 1.5 + 0.2 * noise(request.seed)
+
+    known = {**NOISY, "rkhs_norm": 2.0, "prior_mean": -1.5}
+    found = verdict(tmp_path, known, rare, noisy=True, clip=[-0.2, 4.0], max_tests=82)
+    assert found.verdict == "SHOWN"
+    (hidden,) = [each for each in found.reasons if each.startswith("The claim is about the clipped robustness: ")]
+    assert re.search(
+        r": [1-9]\d* of 328 values are at the lower clip -0\.2, so the robustness itself may be lower", hidden
+    )
 
 
 RISK = {"name": "true_risk", "method": "scenario", "alpha": 0.01, "replicates": 20, "delta": 0.05}

@@ -347,6 +347,21 @@ def test_what_the_tolerance_around_time_stamps_could_decide_is_counted(tmp_path:
     )
 
 
+def test_a_verdict_by_rollouts_says_where_the_tolerance_could_decide(tmp_path: Path) -> None:
+    keys: dict[str, Any] = {"space": {"x": (0, 1)}, "horizon": 1.0, "max_tests": 3}
+    keys |= {"claims": [{"quantity": "failure_probability"}]}
+    keys |= {"specification": "always[0,0.6] (y <= 1.5)", "spot_check": 0}
+    with pb.Campaign(rig(step=None), **keys).ask_tell(tmp_path / "run") as study:
+        for number in range(3):
+            times = T.astype(np.float32).astype(np.float64) if number else T
+            study.tell(asked(study), {"t": times, "y": np.where(np.arange(6) == 3, 1.8, 0.5)})
+        verdict = study.run.verdict
+    assert verdict.by_rollouts == "certain"
+    assert verdict.reasons[-1].startswith(
+        "Whether 2 of 3 rollouts violate the specification may depend on a time stamp"
+    )
+
+
 def test_stamps_that_are_exact_are_not_counted(study: Study) -> None:
     finish(study)
     assert "borders" not in statuses(study)

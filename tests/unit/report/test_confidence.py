@@ -3,7 +3,7 @@
 from typing import Any
 
 from perfbound.orchestrator.report.confidence import anyway, confidence_sentences
-from perfbound.schemas.certificate import CertificateClaim, MostStarts, Rollouts, Sensitivity, SpotCheck
+from perfbound.schemas.certificate import Assumption, CertificateClaim, MostStarts, Rollouts, Sensitivity, SpotCheck
 from perfbound.schemas.verdict import ByRollouts, CampaignVerdict, VerdictWord, Violations
 from tests.unit.certificate.test_text import a_certificate
 
@@ -49,6 +49,22 @@ def test_a_bound_is_wrong_with_the_rest_of_its_probability() -> None:
     )
     certain, _ = sentences({"probability": 1.0})
     assert certain.startswith("Certain, if its assumptions hold")
+
+
+def test_where_a_time_stamp_at_a_border_may_decide_certainty_says_so() -> None:
+    borders = Assumption(id="borders", status="assumed", detail="so", values={"number": 1, "rollouts": 3, "first": "a"})
+    certain, depends, _ = sentences(by_rollouts="certain", verdict="VIOLATED", assumptions=(borders,))
+    assert certain.startswith("Certain of the simulator")
+    assert depends == "It may depend on how time stamps at borders of windows are read: see the assumption `borders`."
+
+
+def test_where_rollouts_do_not_follow_from_their_starts_nothing_holds_anyway() -> None:
+    most = SpotCheck(
+        starts=59, rollouts=Rollouts(nominal=59, true=0), level=0.05, failures=0, failure_probability=0.05,
+        most_starts=MostStarts(share=0.1, quantity="robustness", bound=0.5, probability=0.95), problems=(),
+    )  # fmt: skip
+    assert sentences(spot_check=most)[-1]
+    assert not sentences({"refuted": ("reproducible_rollouts",)}, spot_check=most)[-1]
 
 
 def test_other_constants_have_the_unit_and_are_those_of_the_first_claim() -> None:

@@ -17,11 +17,14 @@ HEADER = Header("c0ffee", CAMPAIGN, load_system("segway").spec, {}, "12ab", "34c
 def test_the_question_names_what_must_be_at_least_what() -> None:
     of_risk = question_words(HEADER, "rho_star")
     assert of_risk.startswith(
-        "From every start, the mean margin less 0.2 standard deviations must be at least 0.25 rad."
+        "From every start, the mean margin less 0.2 standard deviations, clipped to [-0.05, 0.75], must be at least "
+        "0.25 rad."
     )
     assert question_words(HEADER, None) == of_risk, "terms of a composition bound the risk"
     assert "the margin of every rollout must be at least" in question_words(HEADER, "robustness")
-    assert "the mean margin over the noise must" in question_words(HEADER, "expected_robustness")
+    # Values above the clip may only make a mean larger; what the clip hides below, the question has to name.
+    clipped = "the mean margin over the noise, clipped to [-0.05, 0.75], must"
+    assert clipped in question_words(HEADER, "expected_robustness")
     assert question_words(HEADER, "robustness", 25).startswith("From each of the 25 listed starts, the margin")
     drawn = question_words(HEADER, "failure_probability")
     assert drawn.startswith(
