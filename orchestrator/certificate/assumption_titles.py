@@ -5,6 +5,7 @@ STATEMENTS = {
     "bounded_values": "the clip bounds the value of every rollout",
     "borders": "a time stamp close to a border of a window belongs to the window",
     "bounds_agree": "the bounds from both sides do not contradict each other",
+    "limit_agrees": "the bound does not contradict the limit of the expectation",
     "centred_noise": "an observation is right on average",
     "clip": "the claim is about the clipped robustness",
     "declared_distribution": "in operation, starts are distributed as the file declares",

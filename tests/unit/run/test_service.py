@@ -313,7 +313,7 @@ class Altered:
         ({"systems": {}}, "has no system 'test-function'"),
         ({"platform": "other-7-glibc-2.5"}, f"platform is other-7-glibc-2.5, the campaign's {platform_class()}, and"),
         ({"platform": ""}, "platform is unknown"),
-        ({"systems": {"test-function": ("0" * 64,)}, "parts": {}}, "has other files or versions of packages than"),
+        ({"systems": {"test-function": "0" * 64}, "parts": {}}, "has other files or versions of packages than"),
     ],
 )
 def test_a_worker_that_does_not_fit_is_refused(tmp_path: Path, change: dict[str, Any], reason: str) -> None:

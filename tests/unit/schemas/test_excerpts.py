@@ -47,7 +47,7 @@ def test_the_words_of_a_heartbeat_are_one_line() -> None:
 
 
 def test_a_fault_of_a_message_does_not_repeat_the_message() -> None:
-    for message in (STATE | {HOSTILE: 1}, STATE | {"systems": {HOSTILE: ["d"]}}, STATE | {"host": [HOSTILE]}):
+    for message in (STATE | {HOSTILE: 1}, STATE | {"systems": {HOSTILE: "d" * 64}}, STATE | {"host": [HOSTILE]}):
         payload = json.dumps(message).encode()
         assert len(payload) < MAX_MESSAGE
         with pytest.raises(MessageError) as found:

@@ -31,7 +31,7 @@ def a_request(**changes: Any) -> RolloutRequest:
         "replicate": 3,
         "seed": 2**53 - 1,
         "system": "test-function",
-        "spec_sha256": SYSTEM.spec.digest,
+        "spec_sha256": systems.load_system("test-function").spec.digest,
         "x": (1.0, 2.0),
         "horizon": 1.0,
     }
