@@ -9,7 +9,7 @@ from ..campaign.objectives import mean
 from ..campaign.plan import ProblemPlan
 from ..campaign.risk_check import RiskCheck
 from ..campaign.spot_check import SpotCheck, SpotSeries, tested_variant
-from ..mathematics.bounds.predictable import CvarSequence, best_expected
+from ..mathematics.bounds.predictable import CvarSequence
 from ..mathematics.bounds.rounding import round_up
 from ..mathematics.bounds.share import clopper_pearson_upper, quantile_lower, unseen_share
 from ..mathematics.bounds.spot_check import SpotFinding
@@ -72,7 +72,7 @@ def _mean_of_most(
     """Return a bound of the means of noisy values; None without a clip, and where no more than the clip is proven."""
     if clip is None:
         return None
-    bound = CvarSequence(SHARE, clip, delta=level, choice=best_expected)
+    bound = CvarSequence(SHARE, clip, delta=level)
     for values in robustness:
         # A mean of clipped values may leave the clip by round-off.
         bound.add(min(max(mean(values), clip[0]), clip[1]))

@@ -30,7 +30,7 @@ def start_words(numbers: Sequence[str], units: Mapping[str, str]) -> str:
 
 def with_named_start(found: Assumption, units: Mapping[str, str]) -> Assumption:
     """Return an assumption with names and units in its sentence, to be shown."""
-    start = (found.values or {}).get("start")
+    start = found.values.get("start")
     if not isinstance(start, str) or not all(map(_is_number, start.split(BETWEEN))):
         return found
     # Every sentence has it at the end of a parenthesis; a bound may have the same digits.

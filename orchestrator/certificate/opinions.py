@@ -42,8 +42,8 @@ def workers_honest(header: Header, evidence: Iterable[RolloutId], contradicted: 
 def admitted_rollouts(found: Predicate) -> list[str]:
     """Return the contradicted rollouts that a certificate admits; without a name where its sentence only counts."""
     admitted = [each for each in found.assumptions if each.id == NAME and each.status == "refuted"]
-    names = [name for each in admitted for name in str((each.values or {}).get("rollouts", "")).split(", ")]
-    count = next(((each.values or {}).get("count") for each in admitted), None)
+    names = [name for each in admitted for name in str(each.values.get("rollouts", "")).split(", ")]
+    count = next((each.values.get("count") for each in admitted), None)
     # The file is anyone's: no more are made than the evidence can have.
     if len(names) <= MOST_NAMED or not isinstance(count, int) or not MOST_NAMED < count <= found.evidence.rollouts:
         return names

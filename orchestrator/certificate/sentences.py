@@ -429,7 +429,7 @@ def in_own_words(found: Certificate) -> Certificate:
 def _own_sentence(found: Assumption) -> str | None:
     """Return the sentence of the form, status and values of an assumption; None if they are none of perfbound's."""
     try:
-        return _sentence(found.form or found.id.partition("/")[0], found.status, found.values or {})
+        return _sentence(found.form or found.id.partition("/")[0], found.status, found.values)
     except (LookupError, ValueError, TypeError):
         return None
 

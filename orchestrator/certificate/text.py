@@ -199,7 +199,7 @@ def notes(predicate: Predicate, number: int) -> tuple[str, ...]:
     """Return what stands beside a claim, in sentences: what it owes to its constants, and what needs none of them."""
     claim = predicate.claims[number]
     rows = [row for row in predicate.sensitivity or () if row.claim == number]
-    found = [_sentence_on_clip(each.values) for each in predicate.assumptions if _hides_values(each, claim)]
+    found = list(clip_in_words(predicate, claim))
     # A claim that shows nothing says so, and owes nothing to the constants.
     if claim.without_data is not None and not claim.vacuous:
         found.append(_alone_proves(claim, claim.without_data))
@@ -208,10 +208,14 @@ def notes(predicate: Predicate, number: int) -> tuple[str, ...]:
         values = "; ".join(f"with {VARIED[row.constant, row.factor]} {_varied(claim, row.bound)}" for row in rows)
         found.append(f"The same tests{both}: {values}.")
     most = predicate.spot_check and predicate.spot_check.most_starts
-    # Where rollouts do not follow from their starts, fresh ones show as little.
-    if number == 0 and most and not any(each.startswith("reproducible_rollouts") for each in claim.refuted):
+    if number == 0 and most and not is_irreproducible(claim):
         found.append(_sentence_on_most_starts(most))
     return tuple(found)
+
+
+def is_irreproducible(claim: CertificateClaim) -> bool:
+    """Whether the rollouts behind a claim do not follow from their seeds: then those at fresh starts show as little."""
+    return "reproducible_rollouts" in claim.refuted
 
 
 def clip_in_words(predicate: Predicate, claim: CertificateClaim) -> tuple[str, ...]:
@@ -226,14 +230,15 @@ def _hides_values(assumption: Assumption, claim: CertificateClaim) -> bool:
     # The counts are those of the whole specification.
     if not is_clip or claim.requirement is not None or claim.sense != ">=" or claim.clipped is None:
         return False
-    return float((assumption.values or {}).get("at_low", 0)) > 0
+    return float(assumption.values.get("at_low", 0)) > 0
 
 
-def _sentence_on_clip(values: Mapping[str, object] | None) -> str:
-    found = values or {}
+def _sentence_on_clip(found: Mapping[str, object]) -> str:
+    # The file is anyone's: an edited one may lack a value.
+    hidden, number, low = (found.get(key, "?") for key in ("at_low", "values", "low"))
     return (
-        f"The claim is about the clipped robustness: {found['at_low']} of {found['values']} values are at the lower "
-        f"clip {found['low']}, so the robustness itself may be lower by any amount, its mean too."
+        f"The claim is about the clipped robustness: {hidden} of {number} values are at the lower clip {low}, so the "
+        "robustness itself may be lower by any amount, its mean too."
     )
 
 

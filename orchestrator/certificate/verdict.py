@@ -143,10 +143,11 @@ def _by_tolerance(predicate: Predicate) -> tuple[str, ...]:
     found = next((each for each in predicate.assumptions if each.id == "borders"), None)
     if found is None:
         return ()
-    values = found.values or {}
+    # The file is anyone's: an edited one may lack a value.
+    number, rollouts, first = (found.values.get(key, "?") for key in ("number", "rollouts", "first"))
     return (
-        f"Whether {values['number']} of {values['rollouts']} rollouts violate the specification may depend on a time "
-        f"stamp that counts as the border of a window (the first: {values['first']}; assumption `borders`).",
+        f"Whether {number} of {rollouts} rollouts violate the specification may depend on a time stamp that counts as "
+        f"the border of a window (the first: {first}; assumption `borders`).",
     )
 
 

@@ -8,7 +8,7 @@ from ...schemas.problems import Quantity
 from ...schemas.verdict import ByRollouts, CampaignVerdict
 from ..campaign.clip import is_vacuous
 from ..certificate.bound_text import outward
-from ..certificate.text import margin_at_most_starts
+from ..certificate.text import is_irreproducible, margin_at_most_starts
 
 CHANGES = {
     ("rkhs_norm", 2.0): "With a norm bound B twice as large the same tests prove",
@@ -24,9 +24,8 @@ def confidence_sentences(verdict: CampaignVerdict, predicate: Predicate, *, repe
     """Yield how sure a verdict is; `repeated` tells whether a repetition of the worst rollout gave the same."""
     unit = "" if verdict.unit == "1" else one_line(verdict.unit)
     if verdict.by_rollouts:
-        borders = any(each.id == "borders" for each in predicate.assumptions)
         yield _shown_by_rollouts(verdict.by_rollouts, verdict.required_probability, repeated=repeated)
-        if borders:
+        if any(each.id == "borders" for each in predicate.assumptions):
             yield "It may depend on how time stamps at borders of windows are read: see the assumption `borders`."
         return
     claim = predicate.claims[0]
@@ -55,8 +54,7 @@ def _shown_by_rollouts(how: ByRollouts, probability: float, *, repeated: bool) -
 def anyway(verdict: CampaignVerdict, predicate: Predicate) -> str:
     """Return what fresh starts prove without B and kernel; empty where they prove nothing, or a violation is shown."""
     most = predicate.spot_check and predicate.spot_check.most_starts
-    refuted = any(each.startswith("reproducible_rollouts") for each in predicate.claims[0].refuted)
-    if verdict.verdict == "VIOLATED" or refuted:
+    if verdict.verdict == "VIOLATED" or is_irreproducible(predicate.claims[0]):
         return ""
     unit = "" if verdict.unit == "1" else one_line(verdict.unit)
     return _of_fresh_starts(most, unit) if most else ""

@@ -22,7 +22,7 @@ def discarded(certificate: Certificate, kept: Sequence[tuple[RolloutId, Entry]])
         CheckFailed: they are not those of the manifest.
 
     """
-    named = [each.values or {} for each in certificate.predicate.assumptions if each.id.startswith(DISCARDED)]
+    named = [each.values for each in certificate.predicate.assumptions if each.id.startswith(DISCARDED)]
     listed = [(str(rollout), entry.sha256) for rollout, entry in kept]
     if [(each.get("rollout"), each.get("sha256")) for each in named] != listed:
         raise CheckFailed("manifest", "its discarded rollouts are not those that the certificate names")

@@ -24,7 +24,7 @@ def extended(certificate: Certificate) -> tuple[ExtensionFact, ...]:
 
 
 def _of_line(found: Assumption) -> tuple[int, str, int]:
-    number, values = found.id.removeprefix(EXTENDED).partition("/")[0], found.values or {}
+    number, values = found.id.removeprefix(EXTENDED).partition("/")[0], found.values
     problem, tests = values.get("problem"), values.get("max_tests")
     if not number.isdecimal() or not isinstance(problem, str) or not isinstance(tests, int):
         raise CheckFailed("stop", f"{found.id[:80]} names no budget")

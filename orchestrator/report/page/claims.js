@@ -25,10 +25,16 @@ function titleSection(report) {
     "header#title",
     el("p.kind", ["perfbound campaign", ...whenAndWho(report)].join(" \u00b7 ")),
     el("h1", nameElement(report.name, 120), el("span.state", { "data-state": report.state }, short(report.state, 20))),
-    el("p.question", asks, `from ${report.problems.some(isListed) ? "each of " : report.problems.some((each) => each.drawn !== null) ? "starts that are drawn with " : "every start with "}${spaceText(report)}.`),
+    el("p.question", asks, `from ${startsText(report)}${spaceText(report)}.`),
     el("p.question", el("strong", system[0]), system[1]),
     report.required ? el("p.question", el("strong", "Asked: "), sentence(report.required)) : null,
   );
+}
+
+/** Of which starts of the space the first claim is. */
+function startsText(report) {
+  if (report.problems.some(isListed)) return "each of ";
+  return report.problems[0]?.drawn ? "starts that are drawn with " : "every start with ";
 }
 
 /** When a campaign ended, and who ran it. */

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from perfbound.orchestrator.certificate import files, keys, sign
+from perfbound.orchestrator.certificate import files, keys, sign, text
 from perfbound.orchestrator.certificate.issue import issue, manifest
 from perfbound.orchestrator.certificate.verify import compare
 from perfbound.orchestrator.certificate.verify import table as show
@@ -118,14 +118,15 @@ def test_a_check_of_nothing_did_not_pass(tmp_path: Path) -> None:
     assert skipped(check(one)) >= absent(one) == set(ABSENT)
 
 
-def test_the_result_is_last_and_does_not_hide_a_refuted_claim(campaign: Path, tmp_path: Path) -> None:
-    def printed(directory: Path) -> list[str]:
-        found = verify_certificate(directory, key=None, again=0, report=lambda *_: None)
-        console = Console(file=io.StringIO(), width=100)
-        show.print_verification(found, console)
-        assert isinstance(console.file, io.StringIO)
-        return console.file.getvalue().splitlines()
+def printed(directory: Path) -> list[str]:
+    found = verify_certificate(directory, key=None, again=0, report=lambda *_: None)
+    console = Console(file=io.StringIO(), width=100)
+    show.print_verification(found, console)
+    assert isinstance(console.file, io.StringIO)
+    return console.file.getvalue().splitlines()
 
+
+def test_the_result_is_last_and_does_not_hide_a_refuted_claim(campaign: Path, tmp_path: Path) -> None:
     lines = printed(campaign)
     begin = next(number for number, line in enumerate(lines) if line.startswith("CLAIM"))
     bound = next(line for line in lines[begin:] if ">= " in line)
@@ -136,6 +137,24 @@ def test_the_result_is_last_and_does_not_hide_a_refuted_claim(campaign: Path, tm
     assert refuted.startswith("VERIFIED (the signature was not checked): ")
     assert refuted.endswith("skipped; its claim is REFUTED, do not rely on it")
     assert good.endswith("skipped")
+
+
+def test_the_result_says_that_the_record_of_attempts_was_not_checked(tmp_path: Path) -> None:
+    directory = Path(shutil.copytree(FINISHED / "scenario", tmp_path / "run"))
+    (directory / files.ATTEMPTS).unlink()
+    assert printed(directory)[-1].startswith("VERIFIED (the signature and the record of attempts were not checked): ")
+
+
+def test_an_edited_certificate_without_a_value_of_its_clip_is_shown(tmp_path: Path) -> None:
+    directory = Path(shutil.copytree(FINISHED / "kriging", tmp_path / "run"))
+    value = json.loads((directory / files.CERTIFICATE).read_text())
+    (clip,) = [each for each in value["predicate"]["assumptions"] if each["id"].startswith("clip/")]
+    clip["values"] = {"at_low": 1}
+    value["predicate"]["claims"][0]["clipped"] = [-0.05, 0.75]
+    (directory / files.CERTIFICATE).write_text(json.dumps(value))
+    found = files.read(directory)
+    assert found is not None
+    assert any("1 of ? values are at the lower clip ?" in note for note in text.notes(found.predicate, 0))
 
 
 def test_verifying_changes_nothing(campaign: Path) -> None:
