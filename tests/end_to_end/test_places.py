@@ -229,7 +229,11 @@ def test_no_live_process_shares_its_place_and_a_killed_one_leaves_it(
 
 
 def test_a_forked_process_has_another_place(taken: list[subprocess.Popen[str]], tmp_path: Path) -> None:
-    fork = "import os; pid = os.fork(); own = pb.Worker.own(); print(own.number, own.scratch, own.port, flush=True); "
+    # One write each: two processes share the pipe, and print may write a line in pieces.
+    fork = (
+        "import os; pid = os.fork(); own = pb.Worker.own();"
+        "os.write(1, f'{own.number} {own.scratch} {own.port}\\n'.encode()); "
+    )
     first = takes(taken, tmp_path, f"{fork} pid and os.waitpid(pid, 0); os._exit(0)")
     assert taken[-1].stdout is not None
     rest = [tuple(line.split()) for line in taken[-1].stdout.read().splitlines()]
