@@ -315,8 +315,19 @@ def test_the_first_claim_needs_no_bound_of_other_problems(tmp_path: Path) -> Non
 
 
 def test_what_further_claims_alone_rest_on_is_no_refutation_of_the_first() -> None:
-    """The shipped example: a claim by method `kriging`, and for comparison the paper's, whose norms are refuted."""
-    ledger: Any = SimpleNamespace(config=parse_campaign((FOLDER / "segway.toml").read_bytes(), "segway"))
+    """A claim by method `kriging`, and for comparison the paper's, whose norms are refuted."""
+    first, second = ((FOLDER / name).read_text() for name in ("segway.toml", "segway-paper.toml"))
+    gap = 'gap = { kind = "signal_sup", column = "phi", lipschitz = 1.0 }\n'
+    claims = """
+        [[claims]]
+        rule = "single"
+        problems = ["true_risk"]
+        [[claims]]
+        rule = "product"
+        problems = ["nominal_robustness", "sim_gap"]
+        """
+    problems = second[second.index("[[problems]]") :]
+    ledger: Any = SimpleNamespace(config=parse_campaign((gap + first + claims + problems).encode(), "segway"))
     assert AuditSoFar(ledger)._concerns_first_claim(an_assumption("rkhs_norm/true_risk"))
     assert AuditSoFar(ledger)._concerns_first_claim(an_assumption("reproducible_rollouts"))
     assert not AuditSoFar(ledger)._concerns_first_claim(an_assumption("rkhs_norm/sim_gap"))
