@@ -16,6 +16,8 @@ from typing import NamedTuple
 ASSETS = resources.files(__package__) / "page"
 PLOT = "uPlot.iife.min.js"
 INDEX = "index.js"
+GLOSSARY = "glossary.json"
+"""Word or symbol -> meaning, also for `perfbound explain`; names of one entry are separated by commas."""
 OF_INDEX = ("dom.js", "format.js", INDEX)
 """Scripts of the index of campaigns."""
 _INLINE = re.compile(r"<(script|style)>(.*?)</\1>", re.DOTALL)
@@ -72,7 +74,7 @@ def _template() -> str:
         "UPLOT_CSS": _asset("uPlot.min.css"),
         "CSS": _asset("page.css"),
         "UPLOT": _asset(PLOT),
-        "PAGE": "\n".join(map(_asset, scripts)),
+        "PAGE": "\n".join([f"const GLOSSARY = {_asset(GLOSSARY)};", *map(_asset, scripts)]),
     }
     return _filled("page.html", parts)
 
