@@ -44,7 +44,8 @@ class SoFar(Model):
     sense: Literal[">=", "<="]
     required: float | None
     probability: float | None
-    unit: str
+    unit: str = Field(description="of the robustness")
+    bound_unit: str = Field(description="of bound and requirement; empty where they have none: a probability")
     violations: Violations
     assumptions: tuple[Assumption, ...] = Field(description="those that were tested so far, refuted ones first")
     others: tuple[str, ...] = Field(description="ids of those assumptions that only further claims rest on")

@@ -40,6 +40,7 @@ class CampaignVerdict(Model):
     probability: float
     required_probability: float
     unit: str = Field(description="of the robustness; empty where it has none")
+    bound_unit: str = Field(description="of bound and requirement; empty where they have none: a probability")
     by_rollouts: ByRollouts | None = Field(
         default=None,
         description="how the rollouts alone show it, without a kernel; null where they do not",

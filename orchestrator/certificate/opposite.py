@@ -69,8 +69,19 @@ def capitalised(words: str) -> str:
 
 def margin_text(text: str, claim: CertificateClaim, unit: str) -> str:
     """Return a number of a claim with the unit of the robustness, where it is one."""
+    return f"{text} {claim_unit(claim, unit)}".rstrip()
+
+
+def claim_unit(claim: CertificateClaim, unit: str) -> str:
+    """Return the unit of a claim's bound, by that of the robustness; empty where it has none, as a probability.
+
+    >>> made = {"sense": "<=", "bound": 0.01, "probability": 0.95, "rule": "single", "method": "sample",
+    ...         "assumptions": (), "refuted": ()}
+    >>> [claim_unit(CertificateClaim(quantity=each, **made), "m") for each in ("failure_probability", "quantile")]
+    ['', 'm']
+    """
     has = unit not in ("", "1") and claim.quantity not in PROBABILITIES and claim.quantity != "J_star"
-    return f"{text} {one_line(unit)}" if has else text
+    return one_line(unit) if has else ""
 
 
 def chance_words(claim: CertificateClaim) -> str:

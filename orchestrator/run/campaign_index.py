@@ -249,8 +249,7 @@ def _listed_row(row: IndexRow, listed: ListedCampaign) -> IndexRow:
 
 
 def _finished_row(row: IndexRow, listed: ListedCampaign, found: CampaignVerdict) -> IndexRow:
-    unit = "" if found.unit == "1" else one_line(found.unit)
-    required = "" if found.required is None else f"{found.sense} {found.required:g} {unit}".rstrip()
+    required = "" if found.required is None else f"{found.sense} {found.required:g} {found.bound_unit}".rstrip()
     return replace(
         _listed_row(row, listed),
         value=found.bound,

@@ -117,8 +117,7 @@ def _count_of(seen: Violations) -> int | None:
 
 
 def _first_claim_of(found: CampaignVerdict) -> str:
-    unit = "" if found.required is None or found.unit == "1" else one_line(found.unit)
-    bound = f"{found.sense} {outward(found.bound, found.sense)} {unit}".rstrip()
+    bound = f"{found.sense} {outward(found.bound, found.sense)} {found.bound_unit}".rstrip()
     return bound if found.clip is None else f"{bound}, clipped"
 
 

@@ -154,6 +154,7 @@ class SoFarListener:
             required=required,
             probability=verdict.probability if verdict else None,
             unit=self._unit,
+            bound_unit=verdict.bound_unit if verdict else self._unit,
             violations=violations,
             assumptions=holding.assumptions,
             others=holding.others,

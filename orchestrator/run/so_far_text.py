@@ -30,7 +30,7 @@ def holding_rows(found: SoFar, *, running: bool = True) -> tuple[HoldingRow, Hol
     """Return the row of what is proven so far, and that of what is expected at the end, in the time that it runs."""
     ahead = found.expected
     chance = "-" if found.probability is None else f"at least {outward(found.probability, '>=')}"
-    bound = None if found.bound is None else _in_unit(outward(found.bound, found.sense), found)
+    bound = None if found.bound is None else _in_unit(outward(found.bound, found.sense), found.bound_unit)
     proven = "nothing yet" if bound is None else f"{found.sense} {bound}{', refuted' if found.refuted else ''}"
     count = "-" if ahead.tests is None else _span_words(ahead.tests)
     down = running and found.link_down_since is not None
@@ -91,7 +91,7 @@ def violations_so_far(found: SoFar) -> str:
     seen = found.violations
     if not seen.rollouts or seen.least is None:
         return ""
-    margin = _in_unit(f"{seen.least:.4f}", found)
+    margin = _in_unit(f"{seen.least:.4f}", found.unit)
     return f"{violations_in_words(seen)} so far; the worst {margin}"
 
 
@@ -110,10 +110,10 @@ def _expected_bound(found: SoFar) -> str:
     if span is None:
         return "no forecast yet" if found.expected.by_budget else "no forecast"
     if span.low == span.high:  # its problem has ended
-        end = _in_unit(outward(span.low, found.sense), found)
+        end = _in_unit(outward(span.low, found.sense), found.bound_unit)
         return f"{found.sense} {end}{', refuted' if found.refuted else ''}"
     low, high = f"{span.low:.4g}", f"{span.high:.4g}"
-    return f"about {span.middle:.4g} ({low} to {_in_unit(high, found)})"
+    return f"about {span.middle:.4g} ({low} to {_in_unit(high, found.bound_unit)})"
 
 
 def _span_words(span: Span) -> str:
@@ -121,5 +121,5 @@ def _span_words(span: Span) -> str:
     return f"{low:,}" if low == high else f"about {round(span.middle):,} ({low:,} to {high:,})"
 
 
-def _in_unit(text: str, found: SoFar) -> str:
-    return text if found.unit in ("", "1") else f"{text} {one_line(found.unit)}"
+def _in_unit(text: str, unit: str) -> str:
+    return text if unit in ("", "1") else f"{text} {one_line(unit)}"

@@ -26,7 +26,7 @@ def sentences(
     predicate = a_certificate().predicate.model_copy(update={"claims": (found,)} | changes)
     card = CampaignVerdict(
         verdict=verdict, campaign="c", seed=1, claim="", reasons=(), advice=(), bound=1.25, sense=">=", required=0.0,
-        probability=0.9, required_probability=0.95, unit="m", violations=NONE, by_rollouts=by_rollouts,
+        probability=0.9, required_probability=0.95, unit="m", bound_unit="m", violations=NONE, by_rollouts=by_rollouts,
         repeat="",
     )  # fmt: skip
     return [*confidence_sentences(card, predicate, repeated=repeated), anyway(card, predicate)]
