@@ -1,4 +1,4 @@
-"""Three hosts over TLS by docs/hosts.md, followed in network namespaces: router, orchestrator and workers with own certificates."""
+"""Three hosts over TLS by docs/hosts.md, in network namespaces: router, orchestrator and workers with certificates."""
 
 import shlex
 import shutil
