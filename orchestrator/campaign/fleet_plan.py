@@ -26,17 +26,17 @@ from ...schemas.heartbeats import heartbeat_interval
 from ...schemas.values import Guess
 
 RESULT_SECONDS = 1.8e-3
-"""CPU time of the orchestrator's loop for a result of 100 kB, see docs/scale.md."""
+"""CPU time of the orchestrator's loop for a result of 100 kB, see docs/performance.md."""
 RESULT_LOAD = 4.0e-3
-"""CPU time of all threads of the orchestrator for a result of 100 kB over a link, see docs/scale.md."""
+"""CPU time of all threads of the orchestrator for a result of 100 kB over a link, see docs/performance.md."""
 HEARTBEAT_SECONDS = 105e-6
-"""CPU time of the orchestrator for a heartbeat, in the transport and in the loop, see docs/scale.md."""
+"""CPU time of the orchestrator for a heartbeat, in the transport and in the loop, see docs/performance.md."""
 MESSAGE = 300
 """Bytes of a heartbeat, or of an assignment, on the wire."""
 ROUND_TRIP = 0.01
 """Seconds between the end of a rollout and the start of the next one on the same worker."""
 DATABASE_BYTES = 460
-"""Of a rollout, with its part of test and bound, see docs/scale.md."""
+"""Of a rollout, with its part of test and bound, see docs/performance.md."""
 BLOCK = 4096
 """Bytes of a block of a file system."""
 REPORT_BYTES = 20_000_000
@@ -44,7 +44,7 @@ REPORT_BYTES = 20_000_000
 BASE_BYTES = 180_000_000
 """Memory of an orchestrator with few rollouts."""
 ROLLOUT_BYTES = 53
-"""Memory of the orchestrator for a rollout, see docs/scale.md."""
+"""Memory of the orchestrator for a rollout, see docs/performance.md."""
 CLOSING = (0.5, 3.0, 20.0)
 """Seconds from the last rollout to the exit: certificate and report; low, middle, high."""
 FASTER, SLOWER = 0.8, 2.0

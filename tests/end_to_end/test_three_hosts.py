@@ -1,4 +1,4 @@
-"""The page on three hosts, followed in network namespaces: router, orchestrator and workers with own certificates."""
+"""Three hosts over TLS by docs/hosts.md, in network namespaces: router, orchestrator and workers with certificates."""
 
 import shlex
 import shutil
@@ -45,13 +45,13 @@ kernel = { nu = 10.0, length_scale = 1.0 }
 """
 ROUTER, MAIN, NODE, OTHER = "router.example", "main.example", "node-1.example", "node-2.example"
 ENDPOINT = f"tls/{ROUTER}:7447"
-PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "three-hosts.md"
+PAGE = Path(__file__).parents[2] / "docs" / "hosts.md"
 Command = list[str]
 
 
 def of_page(section: str) -> list[Command]:
     """Return the commands of a section, as a shell takes them apart."""
-    text = PAGE.read_text().partition(f"\n## {section}\n")[2].partition("\n## ")[0].replace("\\\n", " ")
+    text = PAGE.read_text().partition(f"\n### {section}\n")[2].partition("\n##")[0].replace("\\\n", " ")
     found = [shlex.split(line) for line in text.splitlines() if line.startswith("    ")]
     assert found, section
     return found

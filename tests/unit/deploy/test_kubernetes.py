@@ -20,7 +20,7 @@ from tests.unit.deploy.files import (
 RESOURCES = {f"{each['kind']} {each['metadata']['name']}": each for each in resources()}
 PODS = {each["metadata"]["name"]: template for each, template in pods()}
 LABELS = {name: template["metadata"]["labels"] for name, template in PODS.items()}
-PAGE = ROOT / "docs" / "how-to" / "containers.md"
+PAGE = ROOT / "docs" / "clusters.md"
 VERSIONS = ("1.31", "1.34", "1.37")
 
 
@@ -94,7 +94,7 @@ def tls_secrets() -> dict[str, set[str]]:
 
 @pytest.mark.parametrize("name", PODS)
 def test_the_files_of_a_command_are_mounted(name: str) -> None:
-    """Out of the Secrets and the ConfigMap that the page on containers makes."""
+    """Out of the Secrets and the ConfigMap that the page on clusters makes."""
     spec = PODS[name]["spec"]
     (container,) = spec["containers"]
     volumes = {each["name"]: each for each in spec["volumes"]}
