@@ -3,8 +3,10 @@
 VERSIONS := 3.11 3.12 3.13
 VENV ?= .venv
 BIN := $(VENV)/bin
-# That of the environment, if there is one.
-PYTHON ?= $(firstword $(wildcard $(BIN)/python) python3.11)
+# That of the environment, if there is one; else the first one on PATH that fits.
+FITTING = for each in python3.11 python3 python3.12 python3.13; do \
+  $$each -c 'import sys; sys.exit(sys.version_info[:2] not in ((3, 11), (3, 12), (3, 13)))' 2>/dev/null && { echo $$each; break; }; done
+PYTHON ?= $(firstword $(wildcard $(BIN)/python) $(shell $(FITTING)) python3)
 VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
 LOCK := locks/$(VERSION)
 INSTALLED := $(VENV)/.installed-$(VERSION)
@@ -13,12 +15,13 @@ WORKERS ?= 2
 RUN_DIR = runs/$(basename $(notdir $(CAMPAIGN)))
 # Hashes are checked, and nothing is compiled on the way: what was tested is what runs.
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check
+LOCKED = $(INSTALL) --only-binary :all: --require-hashes
 
 # The tests start hundreds of processes: compiled modules are kept, also where the environment would not have it.
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup slurm run test test-all other-pythons mujoco smoke announce checks lint types imports doctests unit explore fuzz faults coverage reproduce bench bench-compare schemas diagrams docs images lock clean
+.PHONY: help setup slurm run test test-all every-test studies touched other-pythons mujoco smoke announce checks lint types imports doctests unit explore fuzz faults coverage reproduce bench bench-compare schemas diagrams docs images lock clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -26,15 +29,17 @@ help: ## List the targets
 $(INSTALLED): $(wildcard $(LOCK).txt) pyproject.toml
 	@test -n "$(filter $(VERSION),$(VERSIONS))" || { \
 	  echo "perfbound needs Python $(VERSIONS), and $(PYTHON) is $(or $(VERSION),missing): choose one with PYTHON=..." >&2; exit 1; }
+	@test -x $(BIN)/python || echo "Installing into $(VENV) with $(PYTHON) $(VERSION): 210 MB to download, 840 MB on the disk;" \
+	  "tests need 150 MB more. $(if $(filter 3.11,$(VERSION)),,The Segway needs one more package here: CONTRIBUTING.md, Python versions.)"
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@$(BIN)/python -c 'import sys; sys.exit("%d.%d" % sys.version_info[:2] != "$(VERSION)")' || { \
 	  echo "$(VENV) has another Python than $(PYTHON): choose VENV=.venv-$(VERSION), or run make clean" >&2; exit 1; }
-	$(INSTALL) --require-hashes -r $(LOCK).txt
+	$(LOCKED) -r $(LOCK).txt
 	$(INSTALL) --no-deps -e .
 	touch $@
 
 $(INSTALLED)-%: $(LOCK)-%.txt $(INSTALLED)
-	$(INSTALL) --require-hashes -r $<
+	$(LOCKED) -r $<
 	touch $@
 
 # Another Python has no locks: the rule above does not apply, and that of $(INSTALLED) says what is wrong.
@@ -51,16 +56,14 @@ run: setup ## Run the Segway campaign with two local workers (CAMPAIGN=..., WORK
 	@if test -e $(RUN_DIR)/campaign.db; then $(BIN)/perfbound resume $(RUN_DIR) --workers $(WORKERS); \
 	else $(BIN)/perfbound run $(CAMPAIGN) --workers $(WORKERS) --out $(RUN_DIR); fi
 
-test: announce checks unit ## All checks: ruff, mypy, import rules, pytest; about 27 minutes
+test: announce checks unit ## Lint, types, imports, unit and contract tests, one journey of each capability: 10 minutes
 
-test-all: announce checks mujoco unit other-pythons ## All checks, the tests that take longer still, and every other Python
-
-test-all: NOT_SLOW :=
+test-all: announce checks mujoco $(INSTALLED)-docs docs every-test other-pythons ## Everything: kills, browsers, wheel, Slurm, site, fuzz, studies in short, other Pythons
 
 other-pythons:
 	@for version in $(filter-out $(VERSION),$(VERSIONS)); do \
 	  if python$$version -c '' 2>/dev/null; \
-	  then $(MAKE) mujoco doctests unit PYTHON=python$$version VENV=.venv-$$version NOT_SLOW= || exit 1; \
+	  then $(MAKE) mujoco doctests every-test PYTHON=python$$version VENV=.venv-$$version || exit 1; \
 	  else missing="$$missing python$$version"; fi; \
 	done; test -z "$$missing" || echo "Not tested, because not on PATH:$$missing"
 
@@ -68,7 +71,7 @@ smoke: $(INSTALLED)-dev ## Two minutes: real workers, kills, the contract of the
 	$(BIN)/python -m pytest -q -m smoke
 
 announce:
-	@echo "About 27 minutes on two quiet cores, after the installation; \`make smoke\` takes two."
+	@echo "\`make test\` takes about 10 minutes on two quiet cores, after the installation, and \`make test-all\` an hour."
 
 # Side by side: each of them takes one core.
 checks: $(INSTALLED)-dev
@@ -84,11 +87,13 @@ types: $(INSTALLED)-dev ## Types, strict
 imports: $(INSTALLED)-dev ## Which room may import which
 	$(BIN)/lint-imports
 
-# Readers of our files in JavaScript; where there is no npm or no network, their tests are skipped.
-build/node/.installed: Makefile
-	@if command -v npm >/dev/null && npm install --silent --no-save --no-audit --no-fund --prefix build/node \
-	  @mcap/core@2.2.2 @mcap/support@1.1.0 fzstd@0.1.1 @foxglove/schemas@2.1.0 \
-	  @foxglove/rosmsg@5.0.5 @foxglove/rosmsg2-serialization@3.1.0; then touch $@; fi
+# Readers of our files in JavaScript. Where there is no npm, their tests are skipped, and the last line of the tests says so.
+READERS := tests/end_to_end/node
+build/node/.installed: $(READERS)/package.json $(READERS)/package-lock.json
+	@mkdir -p build/node
+	@if command -v npm >/dev/null; then cp $^ build/node && npm ci --silent --no-audit --no-fund --prefix build/node || { \
+	  echo "npm ci failed in build/node; run it again with a network, or without npm on PATH" >&2; exit 1; }; fi
+	@touch $@
 
 # The build backend that pyproject.toml pins, so that the test of the wheel needs no network later on.
 build/backend/.installed: pyproject.toml $(INSTALLED)
@@ -100,16 +105,39 @@ DOCTESTS := $(addprefix perfbound/,orchestrator workers schemas library) tests/a
 doctests: $(INSTALLED)-dev ## Examples in docstrings
 	$(BIN)/python -m pytest --doctest-modules $(DOCTESTS)
 
-NOT_SLOW := -m "not slow"
-# A file's tests share what is costly to make. Most tests with processes of their own, and some others, wait a part of
-# their time: for processes, for the disk.
-PROCESSES := tests/end_to_end tests/faults
-WITHOUT := -n 3 --dist loadfile tests $(addprefix --ignore=,$(PROCESSES))
+# A file's tests share what is costly to make, so they run in one process. Most tests with processes of their own wait a
+# part of their time: three at once keep two cores busy.
 AT_ONCE ?= 3
-WITH := -n $(AT_ONCE) --dist loadfile $(PROCESSES)
-unit: $(INSTALLED)-dev build/node/.installed build/backend/.installed ## Tests, with real workers, Zenoh and PyBullet
-	$(BIN)/python -m pytest $(WITHOUT) --durations=10 $(NOT_SLOW)
-	$(BIN)/python -m pytest $(WITH) --durations=10 $(NOT_SLOW)
+PYTEST = $(BIN)/python -m pytest -n $(AT_ONCE) --dist loadfile --durations=10
+READY := $(INSTALLED)-dev build/node/.installed build/backend/.installed
+unit: $(READY) ## The tests of `make test`, without lint and types
+	$(PYTEST) -m "not rest and not slow" tests
+
+every-test: $(READY)
+	$(PYTEST) -m "not slow" tests
+
+studies: $(READY) ## The long forms of the statistical tests (hours)
+	$(PYTEST) -m slow tests
+
+# What else runs after a change of a room: `make touched BASE=main`.
+REST_schemas := test_bad_input test_input_signals test_mcap_readers
+REST_orchestrator/cli := test_pipes test_ends test_first_steps
+REST_orchestrator/report := test_page test_report test_replay test_live test_index test_watch
+REST_orchestrator/run := test_resume test_stop test_left_behind test_robustness
+REST_orchestrator/certificate := test_verify test_verdict test_signed test_six_campaigns
+REST_orchestrator/campaign := test_methods test_extension test_plan test_calibrate test_check_system
+REST_orchestrator/store := test_resume test_campaign
+REST_orchestrator/fleet := test_router test_three_hosts test_life
+REST_workers := test_programs test_opened test_places test_plant test_life
+REST_perfbound := test_library test_wheel
+REST_deploy := test_deployments test_slurm
+REST_docs := test_tutorial test_questions
+ROOMS := $(patsubst REST_%,%,$(filter REST_%,$(.VARIABLES)))
+BASE ?= HEAD~1
+CHANGED = $(shell git diff --name-only $(BASE) 2>/dev/null)
+TOUCHED = $(sort $(foreach room,$(ROOMS),$(if $(filter $(room)/%,$(CHANGED)),$(REST_$(room)))))
+touched: $(READY) ## The tests of test-all that belong to the rooms which differ from BASE (the last commit)
+	@test -z "$(TOUCHED)" || $(PYTEST) -m "not slow" $(TOUCHED:%=tests/end_to_end/%.py)
 
 explore: $(INSTALLED)-dev ## Property tests with new random cases, many of them
 	PERFBOUND_EXPLORE=1 $(BIN)/python -m pytest -q tests/unit

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, settings
 from xdist.remote import Producer
 from xdist.scheduler import LoadFileScheduling
 
-from tests import tiers
+from tests import skips, tiers
 from tests.fuzz import amount
 from tests.missing import MISSING, for_want_of_pybullet
 
@@ -52,7 +52,16 @@ def pytest_make_collect_report(
     return report
 
 
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    reporter = session.config.pluginmanager.getplugin("terminalreporter")
+    if reporter and (bad := skips.not_allowed(skips.reasons(reporter.stats.get("skipped", ())))):
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+        reporter.write_line(f"\nskipped for a reason that CI does not accept (tests/skips.py): {'; '.join(bad)}")
+
+
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    if not terminalreporter.config.getoption("collectonly"):
+        terminalreporter.write_line(skips.summary(skips.reasons(terminalreporter.stats.get("skipped", ()))))
     if amount.CHOSEN:
         terminalreporter.write_line(f"{amount.made():,} random inputs at the borders")
 

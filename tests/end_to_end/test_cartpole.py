@@ -22,7 +22,6 @@ for start, seed in (((0.3, 0.8), 1), ((0.5, 2.0), 2), ((0.3, 0.8), 1)):
 """
 
 pytestmark = [
-    pytest.mark.slow,
     pytest.mark.skipif(importlib.util.find_spec("mujoco") is None, reason="MuJoCo is not installed: make mujoco"),
 ]
 

@@ -19,7 +19,6 @@ from tests.patience import PATIENCE
 ROOT = Path(__file__).parents[2]
 MISSING = [name for name in ("buildah", "debootstrap") if shutil.which(name) is None]
 pytestmark = [
-    pytest.mark.slow,
     pytest.mark.skipif(bool(MISSING), reason=f"install {' and '.join(MISSING)} to build the images"),
     pytest.mark.skipif(os.geteuid() != 0, reason="only root can make a base image of Debian's packages"),
     pytest.mark.skipif(sys.version_info[:2] != (3, 11), reason="the images have Python 3.11"),

@@ -179,7 +179,6 @@ def test_the_main_job_runs_from_the_wheel_and_harms_no_module_of_the_folder(link
     check(linked, started)
 
 
-@pytest.mark.slow
 def test_the_same_with_the_lock_installed_afresh(built: tuple[Path, Path], started: Processes, tmp_path: Path) -> None:
     """Downloads everything: minutes."""
     folder = tmp_path / "fresh"
