@@ -6,6 +6,6 @@ from tests.architecture.diagrams import FOLDER, texts
 for name, text in texts().items():
     (FOLDER / name).write_text(text)
 
-PAGE, BEGIN, END = FOLDER.parent / "how-to" / "watch.md", "<!-- metrics -->\n", "<!-- end of metrics -->"
+PAGE, BEGIN, END = FOLDER.parent / "campaign.md", "<!-- metrics -->\n", "<!-- end of metrics -->"
 head, _, rest = PAGE.read_text().partition(BEGIN)
 PAGE.write_text(f"{head}{BEGIN}{metrics_table()}\n{END}{rest.partition(END)[2]}")

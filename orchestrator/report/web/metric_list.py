@@ -4,6 +4,7 @@ Names and units follow the conventions of Prometheus. No label has a value for e
 a campaign of weeks would make a time series of its own for each of them.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -161,10 +162,24 @@ METRICS = (
 )
 
 
+PLACES: Mapping[Place, str] = {
+    "database": "every campaign, by its database",
+    "run": "a run, on its own page",
+    "so far": "what a run has shown so far, or its certificate",
+}
+"""The rows of the table in the docs."""
+
+
 def metrics_table() -> str:
-    """Return the metrics as a table in Markdown."""
-    rows = []
-    for each in METRICS:
-        cells = (f"`{each.name}`", each.kind, ", ".join(f"`{label}`" for label in each.labels), each.place, each.text)
-        rows.append(f"| {' | '.join(cells)} |")
-    return "\n".join(["| metric | type | labels | from | meaning |", "|---|---|---|---|---|", *rows])
+    """Return the names and labels of the metrics by their place, as a table in Markdown; `text` is in `/metrics`."""
+    rows = [f"| {words} | {', '.join(map(_selector, _of_place(place)))} |" for place, words in PLACES.items()]
+    return "\n".join(["| of | metrics |", "|---|---|", *rows])
+
+
+def _of_place(place: Place) -> list[DeclaredMetric]:
+    return [each for each in METRICS if each.place == place]
+
+
+def _selector(metric: DeclaredMetric) -> str:
+    labels = ",".join(metric.labels)
+    return f"`{metric.name}{{{labels}}}`" if labels else f"`{metric.name}`"

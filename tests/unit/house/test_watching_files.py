@@ -100,7 +100,7 @@ def test_the_dashboard_has_what_grafana_needs_to_import_it() -> None:
 
 
 def test_every_alert_is_about_metrics_that_there_are_and_is_described() -> None:
-    text, page = (FOLDER / "alerts.yaml").read_text(), (ROOT / "docs/how-to/watch.md").read_text()
+    text, page = (FOLDER / "alerts.yaml").read_text(), (ROOT / "docs/campaign.md").read_text()
     names, queries = (re.findall(rf"^ +(?:- )?{key}: (.+)$", text, re.MULTILINE) for key in ("alert", "expr"))
     assert len(names) == len(queries) >= 4
     for name, query in zip(names, queries, strict=True):
@@ -142,5 +142,5 @@ def test_a_query_that_is_wrong_is_found(query: str) -> None:
 
 
 def test_the_docs_have_every_metric() -> None:
-    page = (ROOT / "docs/how-to/watch.md").read_text()
+    page = (ROOT / "docs/campaign.md").read_text()
     assert metrics_table() in page, "`make diagrams` writes it anew"
