@@ -1,14 +1,13 @@
 """The commands of the report: its files, and the live page."""
 
 import os
-import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from ...schemas.errors import Stopped, one_line
+from ...schemas.errors import Stopped
 from ..run.address import Address
 from ..run.page_access import PagePlace, opened
 from .early import check_directory, check_folder
@@ -99,13 +98,10 @@ def score_command(*, directory: Path, specification: str, as_json: bool) -> None
 
 def draw(directory: Path) -> None:
     """Write the page of a finished campaign; a failure is reported and does not fail the campaign."""
-    try:
-        from ..report.write import collected, write_page  # noqa: PLC0415
+    from ..report.write import finish_page  # noqa: PLC0415
 
-        write_page(directory, collected(directory))
-    except Exception as error:  # noqa: BLE001  (any: the certificate is already there, and the report only shows it)
-        command = shlex.join(["perfbound", "report", str(directory)])
-        _print_stderr(one_line(f"{directory}: finished, but there is no report: {error}; run `{command}`"))
+    if line := finish_page(directory):
+        _print_stderr(line)
 
 
 def _print_stderr(line: str) -> None:

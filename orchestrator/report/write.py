@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ...schemas import atomic
+from ...schemas.errors import one_line
 from ..certificate.verify.stages import Report
 from ..run.format import resume_command
 from ..store import export
@@ -75,6 +76,16 @@ def write_page(directory: Path, data: ReportData) -> tuple[Path, ...]:
     page = html.standalone_page(f"{data.name}: perfbound report", to_json(relocatable(data)))
     atomic.write_whole(directory / REPORT, page.html.encode())
     return (directory / REPORT, directory / COUNTEREXAMPLES)
+
+
+def finish_page(directory: Path) -> str:
+    """Write the page of a finished campaign, and return why there is none in one line; empty where it is written."""
+    try:
+        write_page(directory, collected(directory))
+    except Exception as error:  # noqa: BLE001  (any: the certificate is already there, and the report only shows it)
+        command = shlex.join(["perfbound", "report", str(directory)])
+        return one_line(f"{directory}: finished, but there is no report: {error}; run `{command}`")
+    return ""
 
 
 def write_figures(directory: Path, data: ReportData, report: Report = unreported) -> tuple[Path, ...]:

@@ -249,7 +249,8 @@ def resume_run(
     reference = found.reference if found is not None and own is None else None
     path, console = Path(directory).absolute(), output(progress=progress)
     with reproducible(), interruptible(path, console):
-        session.resume_campaign(path, _run_options(workers, reference, own), console, max_tests)
+        if session.resume_campaign(path, _run_options(workers, reference, own), console, max_tests):
+            _write_page(path, console)
     return Run(path)
 
 
@@ -269,7 +270,15 @@ def run_campaign(
         console.print(f"{system.spec.name}: one worker, forked from this process: {system.reason}", markup=False)
     with reproducible(), interruptible(directory, console):
         session.start_campaign(config, source, directory, _run_options(workers, system.reference, own), console)
+        _write_page(directory, console)
     return Run(directory)
+
+
+def _write_page(directory: Path, console: Console) -> None:
+    from ..orchestrator.report.write import finish_page  # noqa: PLC0415  (late: only a run draws)
+
+    if line := finish_page(directory):
+        console.print(line, markup=False)
 
 
 def _run_options(workers: int, reference: str | None, own: Forked | None) -> session.RunOptions:
