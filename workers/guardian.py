@@ -29,6 +29,7 @@ def become_guarded(lifeline: int | None = None, left: int | None = None) -> None
     pipe `left` it writes how many processes it had to end, as a line.
     """
     above, here = os.getppid(), os.getpid()
+    # Not control groups, which are not everywhere a user's right.
     adopt_orphans()
     child = os.fork()
     if child:

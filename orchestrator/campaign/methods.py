@@ -148,6 +148,7 @@ def _kriging_method(plan: ProblemPlan, problem: KrigingProblem) -> KrigingMethod
         lattice,
         kernel(plan, problem),
         KrigingPremises(problem.rkhs_norm, problem.prior_mean, (low, high), problem.delta),
+        # A guess is allowed: it decides how tight the bound is, and not whether it holds.
         spread=problem.spread or (constants.spread if constants else (high - low) / 10),
         budget=KrigingBudget(plan.budget, plan.replicates, problem.points or default),
     )
