@@ -120,6 +120,7 @@ class Ledger:
 
         After a replay those that a crash of the machine may have damaged; `whole` before the certificate, each one.
         """
+        # The kept files of discarded rollouts have no row in `rollouts`, and would be swept.
         discarded = [fact.path for series in self.series.values() for fact in series.discards]
         self._restoration = Restoration(self._directory, recorded, discarded=discarded, whole=whole)
         return len(self._restoration)

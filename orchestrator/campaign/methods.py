@@ -89,6 +89,8 @@ def _one_method(plan: ProblemPlan, header: Header) -> OneMethod:
             return SampleMethod(
                 [_terms(plan, claim) for claim in plan.claims],
                 Draws(header, plan.name).start,
+                # An exact bound needs a number of samples that no outcome decides; a counterexample may end this one
+                # early.
                 fixed=None if plan.until_counterexample else plan.budget,
                 largest=plan.sense == "max",
             )

@@ -89,6 +89,7 @@ def issue_certificate(
     key = ec.generate_private_key(ec.SECP256R1())
     # The role is for people and clear refusals; what guards are the router's rules, which see common names alone.
     subject = [(NameOID.ORGANIZATIONAL_UNIT_NAME, f"{UNIT}{order.role}"), (NameOID.COMMON_NAME, order.name)]
+    # Without serverAuth nobody can listen with the certificate of a worker.
     uses = [ExtendedKeyUsageOID.CLIENT_AUTH] + ([ExtendedKeyUsageOID.SERVER_AUTH] if order.role != "worker" else [])
     signs = x509.KeyUsage(
         digital_signature=True, content_commitment=False, key_encipherment=False, data_encipherment=False,
@@ -120,6 +121,7 @@ def checked_order(name: str, role: Role, hosts: Sequence[str]) -> Order:
         AuthorityError: the name or a host cannot be used.
 
     """
+    # No dot in the name of a worker, since it is a part of the keys of its messages, which have none.
     if len(name) > LONGEST_NAME or not HOST.fullmatch(name) or (role == "worker" and "." in name):
         dots = "" if role == "worker" else ", with dots between parts"
         raise AuthorityError(
@@ -148,6 +150,7 @@ def check_apart(order: Order, others: Sequence[Order], ended: Sequence[Order] = 
         if other.name == order.name and other.role != order.role:
             raise AuthorityError(f"{order.name!r}: is the name of an issued {other.role}; choose another name")
     for other in others:
+        # The rules of the link admit NAME-*: one of two such workers could speak for the other.
         both_workers = order.role == other.role == "worker"
         if both_workers and (other.name.startswith(f"{order.name}-") or order.name.startswith(f"{other.name}-")):
             raise AuthorityError(

@@ -139,6 +139,7 @@ def _want(state: DispatchState, event: Wanted) -> Outcome:
     # Numbered on from the attempts before a restart: a late result of theirs must not pass for one of a new attempt.
     fresh = ((rollout, attempts) for rollout, attempts in event.rollouts if rollout not in state.open)
     new = {rollout: _opened(event, rollout, attempts) for rollout, attempts in fresh}
+    # Behind all others: a retry, for which the observation of its test waits, goes in front.
     state = replace(state, open={**state.open, **new}, waiting=(*state.waiting, *new))
     # A process that repeats its own rollouts repeats what it drew at its start as well: another one shows it.
     alone = eligible(state, event.at)

@@ -51,6 +51,7 @@ def consider(state: DispatchState, event: Delivered) -> Decision:
     # Dropped, and acknowledged all the same, or the worker would deliver it for ever.
     if is_outvoted(state, name):
         return Decision(queued_again(state, rollout), counts=False)
+    # A rollout that is compared stays so: an opinion for honesty is not settled by the rules of a doubt.
     compared = known.compare or not all(each.doubtful for each in known.opinions) or _is_first(state, name, event.at)
     if not (compared or event.doubtful):
         return _settled(state, rollout, event)
@@ -108,6 +109,8 @@ def _settled(state: DispatchState, rollout: RolloutId, event: Delivered, *noted:
     for each in state.open[rollout].opinions:
         if each.digest != event.digest:
             failed = Fail(each.worker, each.attempt, UNLIKE)
+            # As any failure: a worker whose results are often unlike all others is set aside, and none is outvoted for
+            # a doubt.
             state, aside = charge(state, failed, event.at)
             actions += [failed, *aside]
     return Decision(state, counts=True, actions=tuple(actions))

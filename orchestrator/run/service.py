@@ -263,6 +263,7 @@ class Service:
             case events.Start(worker, attempt):
                 state = self._roster.admitted(worker)
                 assert state is not None, "the dispatch machine has admitted workers only"
+                # Before its assignment leaves: after a restart only an attempt that is recorded can be adopted.
                 self._journal.attempts.started(attempt, worker, state.host, state.pid)
                 self._outbox.assign(worker, attempt, self._results.request(attempt.rollout))
             case events.Resend(worker, attempt):
