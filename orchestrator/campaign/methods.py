@@ -89,8 +89,7 @@ def _one_method(plan: ProblemPlan, header: Header) -> OneMethod:
             return SampleMethod(
                 [_terms(plan, claim) for claim in plan.claims],
                 Draws(header, plan.name).start,
-                # An exact bound needs a number of samples that no outcome decides; a counterexample may end this one
-                # early.
+                # An exact bound needs a number of samples that no outcome decides, and a counterexample decides it.
                 fixed=None if plan.until_counterexample else plan.budget,
                 largest=plan.sense == "max",
             )

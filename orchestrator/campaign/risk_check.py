@@ -117,8 +117,7 @@ def _refuted_risks(spot: SpotCheck) -> list[NamedRisk]:
     for plan, finding in spot.findings():
         hypothesis = spot.hypotheses[plan.key]
         if finding.status == "refuted" and finding.start is not None and hypothesis.noisy and _is_linearised(plan):
-            # Fresh rollouts at the whole level: those that named the start would have to share it with all other
-            # starts.
+            # Fresh rollouts at the whole level: those that named the start would have to share it among all starts.
             bound = RiskUpperBound(plan.clip, plan.risk_weight, delta=spot.level)
             found.append(NamedRisk(plan, finding.start, -hypothesis.limit, bound))
     return found

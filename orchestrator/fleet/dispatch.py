@@ -78,8 +78,7 @@ LEGAL: dict[tuple[Phase, str], tuple[Phase, ...]] = {
     **{("unknown", event): ("unknown",) for event in ("WorkerDown", "Reported", "Delivered", "HandedBack")},
     **{(phase, "WorkerUp"): (phase,) for phase in KNOWN},
     **{(phase, "WorkerDown"): ("gone",) for phase in KNOWN},
-    # With an attempt that is not adopted it stays `new`, and that is revoked; to `shunned` it goes if it leaves at
-    # once.
+    # It stays `new` with an attempt that is revoked and not adopted, and is `shunned` if it leaves at once.
     ("new", "Reported"): ("new", "idle", "busy", "shunned"),
     ("idle", "Reported"): ("idle", "shunned"),
     **{(phase, event): (phase,) for phase in ("new", "idle") for event in ("Delivered", "HandedBack", "Tick")},

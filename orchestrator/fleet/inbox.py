@@ -118,8 +118,7 @@ class Budget:
 
     def release_with(self, result: _Sent, size: int) -> None:
         """Give the room back when nothing holds the result any more, wherever it is then."""
-        # No explicit call: it may be in the queue, the decoder or the admission, and no exception on a way may leak
-        # room.
+        # No explicit call: it may be in the queue, the decoder or the admission, and no exception may leak room.
         weakref.finalize(result, self._release, result.worker, size)
 
     @property

@@ -109,8 +109,7 @@ def _settled(state: DispatchState, rollout: RolloutId, event: Delivered, *noted:
     for each in state.open[rollout].opinions:
         if each.digest != event.digest:
             failed = Fail(each.worker, each.attempt, UNLIKE)
-            # As any failure: a worker whose results are often unlike all others is set aside, and none is outvoted for
-            # a doubt.
+            # As any failure: who often sends what is unlike all others is set aside, and nobody outvoted for a doubt.
             state, aside = charge(state, failed, event.at)
             actions += [failed, *aside]
     return Decision(state, counts=True, actions=tuple(actions))

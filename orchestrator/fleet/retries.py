@@ -105,7 +105,6 @@ def is_poison(known: Open, limits: Limits, *, proven: Container[str], alone: boo
     # One may come of a broken machine, which must not end the campaign; after two a third attempt teaches nothing.
     if blames_rollout(last.failure, limits.deadline) and len(alike) > 1 and (alone or len(set(alike)) > 1):
         return True
-    # Broken machines are idle most of the time: they would use up the attempts before a good one ends its first
-    # rollout.
+    # Broken machines are mostly idle: they would use up the attempts before a good one ends its first rollout.
     reliable = [each for each, host in counted if host in proven or not elsewhere]
     return len(reliable) >= limits.max_attempts

@@ -188,8 +188,7 @@ class Service:
                 self._tick(complete)
             self._begin_review()
             if self._draining is None:
-                # After all writes of the turn: the clocks of the attempts start here, and a record may take longer than
-                # a limit.
+                # After the writes of the turn: the clocks of attempts start here, and a record may take long.
                 self._events.append(events.HandOut(time.monotonic()))
                 self._settle()
             elif not dispatch.under_way(self._state):

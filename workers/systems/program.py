@@ -106,8 +106,7 @@ class ProgramSystem(SystemUnderTest):
             "horizon": float(horizon),
             "options": chosen,
             "worker": {"number": worker.number, "scratch": str(worker.scratch), "port": worker.port},
-            # Samples in a file: it needs no framing, every language writes one, and its size is checked before it is
-            # read.
+            # Samples in a file: it needs no framing, every language writes one, and its size is checked first.
             "path": str(path),
         }
         ticks = iter(range(1, 2**62))
