@@ -74,8 +74,7 @@ class ProblemDecisions:
         with naming(f"problem {problem}, test {test}"):
             chosen = self._source.propose(series, test)
             if self._follow is not None:
-                # In `verify`: another CPU may have broken a tie otherwise, and what followed rests on the recorded
-                # test.
+                # In `verify`: another CPU may have broken a tie otherwise, and the rest follows from that one.
                 chosen = self._follow(problem, test, chosen, partial(self._source.rival, series, test))
         return ProposalFact(problem, test, chosen)
 

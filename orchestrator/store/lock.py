@@ -95,8 +95,7 @@ def campaign_lock(directory: Path) -> Iterator[RunLock]:
             raise _running(directory)
         stack.callback(_release, descriptor, os.getpid())
         held = RunLock(path, descriptor, secrets.token_hex(TOKEN // 2).encode())
-        # Once the server has given the lock away and the next holder has ended, flock succeeds again: only this shows
-        # it.
+        # After the server has given the lock away and the next holder has ended, flock succeeds: only this shows it.
         _write_token(held)
         stop_request.withdraw_request(directory)  # of before: it was meant for an orchestrator that has ended
         stack.callback(stop_request.withdraw_request, directory)
