@@ -75,6 +75,7 @@ def _check_name(name: str, names: Sequence[str], own: str) -> None:
 
 def _rules_of(name: str, prefix: str) -> list[dict[str, Any]]:
     """Return what a worker may do, as its orchestrator's node sees it: in comes what it sends, out what it reads."""
+    # By the prefix: a worker's name has a fresh suffix at each start.
     run, worker = "*", f"{prefix}-$*"
     orchestrators = [keys.live_orchestrator(run, "*"), keys.live_router("*")]
     allowed = [

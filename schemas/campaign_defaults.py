@@ -35,6 +35,7 @@ STAND_INS: dict[str, Any] = {
 }
 """Of keys that no description of a system needs."""
 
+# Length scales alone: B, R and alpha are assumptions or wishes of a person, and no box says anything of them.
 DERIVED: Mapping[Any, type] = {"rigorous": RigorousProblem, "kriging": KrigingProblem}
 """Methods whose length scales follow from the box where the file gives none."""
 ENDS: dict[str, Any] = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
@@ -71,6 +72,7 @@ def completed(table: Mapping[str, Any], stem: str = "") -> dict[str, Any]:
     {'name': 'my-cars', 'space': {}, 'problems': [{'name': 'robustness', 'method': 'rigorous', 'alpha': 1.0}]}
     """
     name = re.sub("[^a-z0-9_]+", "-", stem.lower()).strip("-_")[:64]
+    # Before validation, so that database and certificate have every key, and no reader asks whether one is there.
     found = {"name": name, **table} if name else dict(table)
     if isinstance(space := found.get("space"), Mapping):
         if isinstance(space.get("where"), str) and "where" not in table:

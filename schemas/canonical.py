@@ -56,6 +56,7 @@ def canonical_evidence(data: bytes, *, visual: bool) -> Evidence:
         struct.error, UnicodeDecodeError: a length in it is wrong.
 
     """
+    # A strict reader of this one layout costs less than that of mcap, and needs no second encoding to compare with.
     if not data.startswith(_HEAD):
         raise TrajectoryError("it is not written as perfbound writes it: its head is another one")
     metadata, after = _read_metadata(data, len(_HEAD))

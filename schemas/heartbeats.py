@@ -25,6 +25,7 @@ def heartbeat_interval(workers: int, hung_after: float) -> float:
     2.0
     """
     interval = HEARTBEAT
+    # Powers of two: a worker that comes or goes seldom changes the interval of all others.
     while workers > MOST * interval and 2 * interval <= hung_after / 3:
         interval *= 2
     return interval

@@ -43,6 +43,7 @@ def check_of_extension(series: str) -> tuple[str, int] | None:
         return series, 0
     check, _, letters = series.rpartition("_")
     number = 0
+    # In letters, since messages, manifest and page take names of a to z and _ alone.
     for letter in letters:
         number = 26 * number + ord(letter) - ord("a")
     return (check, number) if check in CLOSING else None

@@ -46,6 +46,7 @@ class InputSignal:
     @cached_property
     def times(self) -> tuple[float, ...]:
         """The times of the knots (K,), in s."""
+        # Of `constant` each knot holds for 1/K of the horizon, the last one as well.
         parts = len(self.knots) - (self.kind != "constant")
         return tuple(self.horizon * k / parts for k in range(len(self.knots)))
 

@@ -182,6 +182,7 @@ def with_port(endpoint: str) -> str:
     try:
         family, _, _, _, address = socket.getaddrinfo(host, 0, type=kind)[0]
         with socket.socket(family, kind) as chooser:
+            # The kernel chooses, and the port is free again at the end of the block: another process may be faster.
             chooser.bind(address)
             return f"{place}:{chooser.getsockname()[1]}"
     except OSError as error:
@@ -263,6 +264,7 @@ def _accepting(
 ) -> dict[str, Any]:
     """Return what a node that others connect to has beyond its mode and its endpoints."""
     common = _common(tls, sides, user)
+    # A peer that does not read must not hold up the messages to all others.
     block = {"block": {"wait_before_close": STUCK_MS * 1000}}
     common["transport"]["link"]["tx"]["queue"] = {"congestion_control": block}
     common["transport"]["unicast"] = {"max_sessions": MOST_LINKS}

@@ -15,6 +15,7 @@ SPACES: Mapping[MethodName, tuple[SpaceKind, ...]] = {
     "rigorous": ("box", "scenarios"),
     "kriging": ("box",),
     "scenario": ("scenarios", "box"),
+    # One kind for distributions, steps and choices: a method that takes one of them takes all.
     "sample": ("box", "distributions", "table"),
 }
 """The kinds of `[space]`; the first one is what an error asks for."""

@@ -72,6 +72,7 @@ def messages(samples: NDArray[np.float64], start: int) -> Messages:
     rows = samples[:: -(-len(samples) * channels // NUMBERS)]
     times = np.rint(np.minimum(rows[:, 0], LAST_TIME) * 1e9).astype("<u8")
     records, entries = (bytearray(each) for each in _blank(len(rows), channels))
+    # As one array: the writer of mcap takes thirty times as long, a message at a time.
     filled = np.frombuffer(records, _RECORD).reshape(-1, channels)
     filled["log"] = filled["publish"] = times[:, np.newaxis]
     filled["number"] = rows[:, 1 : channels + 1]

@@ -112,6 +112,7 @@ def channels(visual: Visual, rows: Floats, units: Mapping[str, str]) -> tuple[Ch
     state = _state(tuple(units))
     return (
         Channel("/scene", SceneUpdate.DESCRIPTOR, _one_message(times[0], visual.scene)),
+        # Each solid once more, as a grid of one voxel: rerun draws no scene.
         *(Channel(topic, VoxelGrid.DESCRIPTOR, _one_message(times[0], grid)) for topic, grid in _solids(visual.scene)),
         Channel("/log", Log.DESCRIPTOR, _log_messages(visual.log)),
         Channel("/tf", FrameTransforms.DESCRIPTOR, _transform_messages(times, visual.transforms)),

@@ -29,7 +29,9 @@ def become_guarded(lifeline: int | None = None, left: int | None = None) -> None
     pipe `left` it writes how many processes it had to end, as a line.
     """
     above, here = os.getppid(), os.getpid()
+    # Not control groups, which are not everywhere a user's right.
     adopt_orphans()
+    # Before anything of a system is loaded: the guardian costs 5 MB, and no time of a rollout.
     child = os.fork()
     if child:
         _guard(child, left, lifeline, above)
@@ -109,6 +111,7 @@ def _reap() -> None:
 def _end_as(status: int) -> NoReturn:
     """End with the exit code or by the signal of the worker."""
     if os.WIFSIGNALED(status):
+        # The core of the guardian itself would say nothing of the worker.
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         number = os.WTERMSIG(status)
         if number != signal.SIGKILL:

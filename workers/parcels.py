@@ -50,8 +50,10 @@ class Parcels:
         rollout, attempt = key = key_of(assign)
         named = {"rollout": rollout, "attempt": attempt, "worker": self._worker}
         header = ResultHeader.model_validate({**named, **_end_fields(found), **spent})
+        # By the secret of the assignment, which its worker alone has: the shared secret would let any worker forge it.
         header = header.model_copy(update={"proof": result_proof(assign.secret, header)})
         with self._lock:
+            # The first end stays: the thread that hands an attempt back and the one that simulates it may both come.
             self._waiting.setdefault(key, _Parcel(header, found if isinstance(found, bytes) else b""))
 
     def acknowledge(self, key: Key) -> None:

@@ -120,6 +120,7 @@ def serve_campaigns(link: LinkOptions, life: Life, name: str, *, run: str | None
                 finished |= _of_run(uplink, chosen)
                 if life.ends.until_done and not _to_serve(uplink, run, finished):
                     return 0
+            # A fresh name for each run: with that of the orchestrator it is the nonce of all seals.
             started = keys.fresh_id(name)
 
 
@@ -193,6 +194,7 @@ def _choose(uplink: ZenohUplink, run: str | None, link: LinkOptions, life: Life,
         time.sleep(LOOK)
     life.check()
     life.served = True
+    # The oldest, so that workers without --run serve one campaign after the other, and not each another one.
     return found[0]
 
 

@@ -102,6 +102,7 @@ class ZenohUplink:
 
     def _put(self, packet: Packet | None) -> None:
         if packet is not None:
+            # DROP, the default, loses messages under load.
             block = zenoh.CongestionControl.BLOCK
             key, payload, attachment = packet
             self._session.put(key, payload, attachment=attachment, congestion_control=block, express=True)

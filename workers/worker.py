@@ -97,6 +97,7 @@ class WorkerProcess:
                 self._inbox.put(None)
             case RunFinished():
                 self._finished = True
+                # The certificate is issued without them, and nobody acknowledges them any more.
                 self._outbox.clear()
                 self._drop()
                 self._inbox.put(None)
@@ -126,6 +127,7 @@ class WorkerProcess:
         """Whether a worker that leaves has nothing to do or to deliver, and nothing can be on the way to it."""
         if self._leaving_since is None or self._accepted is not None or self._outbox:
             return False
+        # Only the heartbeat after the last acknowledgement asks for the dismissal.
         since = max(self._leaving_since, self._outbox.emptied_at)
         return self._dismissed or time.monotonic() - since > DISMISSAL
 
@@ -195,6 +197,7 @@ class WorkerProcess:
         kind: FailureKind = "infrastructure"  # this worker has another system, or none
         try:
             system = requested_system(request)
+            # By place, not by type of exception: a system may raise any.
             kind = "system"
             payload = run_request_on(system, request, lambda step: self._advance(key, step))
         except ImportError as fault:  # this worker lacks a part of the system: it never ran

@@ -41,6 +41,7 @@ class Account(Series):
 
     def extend(self, fact: ExtensionFact) -> None:
         """Take an extension of the campaign."""
+        # In the chain of every problem: one extension and two in steps differ, even where all rollouts are equal.
         self.link = extended_link(self.link, fact)
         budget = dict(fact.budgets).get(self.plan.name)
         if budget is not None:

@@ -58,6 +58,7 @@ def objective_fault(ledger: Ledger, rollout: RolloutId, trajectory: Trajectory, 
     try:
         robustness = ledger.observer.robustness(trajectory)
         if robustness is not None:
+            # A fact from which the mathematics cannot continue would stop the campaign at every resume.
             measured(robustness, "the robustness")
         ledger.deciders[rollout.problem].check(ledger.series[rollout.problem], rollout, trajectory, others)
     except ValueError as fault:

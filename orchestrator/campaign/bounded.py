@@ -23,6 +23,7 @@ def bounded_accounts(accounts: Mapping[str, Account], methods: Methods) -> dict[
         method = methods[account.plan.key]
         if isinstance(method, JointMethod):
             pairs = zip(account.plan.parts, method.bounds, strict=True)
+            # As if each were a problem of its own: certificate, spot check and report need not ask how many there are.
             found |= {part.key: _part(account, place, part, bound) for place, (part, bound) in enumerate(pairs)}
         else:
             found[account.plan.key] = account

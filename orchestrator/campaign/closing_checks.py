@@ -67,6 +67,7 @@ class ClosingChecks:
             tested = bounded_accounts(self._accounts, self._methods)
             self.spot_check = SpotCheck(header, tested, self._observer, self._recorded, self._extensions)
             return self.spot_check, SpotSeries(first_link(header, self.spot_check.name))
+        # A series of its own, which begins only where a risk is refuted: facts of the spot check stay what they are.
         if (risk := self._risk_check(series)) is not None:
             self.risk_check = risk
             return risk, Series(first_link(header, risk.name))

@@ -20,6 +20,7 @@ def ended(config: CampaignConfig, bound: Bound, rollouts: Iterable[RolloutFact])
     A method that refutes its own constants says so instead: the counterexample is in the data all the same.
     """
     if config.until_counterexample and bound.verdict != "refuted" and any(map(_violates, rollouts)):
+        # A verdict of this test, so that resume, replay and `verify` decide it as they decide those of a method.
         return replace(bound, verdict="counterexample")
     return bound
 

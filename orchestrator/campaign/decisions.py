@@ -74,6 +74,7 @@ class ProblemDecisions:
         with naming(f"problem {problem}, test {test}"):
             chosen = self._source.propose(series, test)
             if self._follow is not None:
+                # In `verify`: another CPU may have broken a tie otherwise, and the rest follows from that one.
                 chosen = self._follow(problem, test, chosen, partial(self._source.rival, series, test))
         return ProposalFact(problem, test, chosen)
 
@@ -92,6 +93,7 @@ class ProblemDecisions:
         """Give an observation to the method, once, and return the bound after it."""
         with naming(f"problem {fact.problem}, test {fact.test}"):
             bound = self._source.observe(series, fact)
+        # Verdicts about this test, not events of the loop, so that the speed of the workers decides nothing.
         bound = self._refutation.ended(counterexample.ended(self._header.config, bound, series.last_rollouts))
         # A method has no budget: its own verdict comes first, also at the last test.
         spent = bound.verdict is None and fact.test + 1 >= self._account.budget

@@ -23,6 +23,7 @@ def extension(accounts: Mapping[str, Account], closing: ClosingChecks, number: i
     for account in accounts.values():
         if (reason := _not_at_every_test(account.plan)) is not None:
             raise CampaignError(f"problem {account.plan.name}: {reason}")
+    # Else a refutation could be extended away.
     if (fault := closing.fault) is not None:
         raise CampaignError(f"{fault}, which more tests do not change; start a new campaign that does not assume it")
     spent = {name: each for name, each in accounts.items() if _has_spent(each)}

@@ -63,6 +63,7 @@ class Ledger:
         self.config: CampaignConfig = header.config
         self.plans = plans(header.config, header.spec)
         self.methods = methods(self.plans, header)
+        # A hash chain for each problem, over its observations: one in the order of arrival would depend on the workers.
         self.accounts = {name: Account(first_link(header, name), plan=plan) for name, plan in self.plans.items()}
         self.extensions: list[ExtensionFact] = []
         self.series: dict[str, Series] = dict(self.accounts)
@@ -119,6 +120,7 @@ class Ledger:
 
         After a replay those that a crash of the machine may have damaged; `whole` before the certificate, each one.
         """
+        # The kept files of discarded rollouts have no row in `rollouts`, and would be swept.
         discarded = [fact.path for series in self.series.values() for fact in series.discards]
         self._restoration = Restoration(self._directory, recorded, discarded=discarded, whole=whole)
         return len(self._restoration)
@@ -167,9 +169,11 @@ class Ledger:
             # No fact: it has been recorded. The campaign continues when the last damaged file is back.
             self._restoration.restore(rollout, payload, sha256, self._files)
             return Work() if self._restoration else self.outstanding()
+        # Before the file: what cannot be scored leaves nothing behind.
         found = scores(self.observer, rollout, trajectory)
         path = evidence.relative_path(rollout)
         self._files.write(evidence.inside(self._directory, path), payload)
+        # Its test is observed as soon as the other rollouts of it are there: it is not read back from the disk.
         self.recorded.keep(rollout, trajectory)
         return self._advance(self._write(RolloutFact(rollout, seed, sha256, len(payload), path, *found)))
 
@@ -202,6 +206,7 @@ class Ledger:
         return self._write(series.due)
 
     def _write(self, fact: Fact) -> tuple[state.Action, ...]:
+        # Before it is applied: an error there ends the transaction, which takes the row back.
         self._store.add(fact)
         return self._apply(fact)
 

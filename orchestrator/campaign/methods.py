@@ -89,6 +89,7 @@ def _one_method(plan: ProblemPlan, header: Header) -> OneMethod:
             return SampleMethod(
                 [_terms(plan, claim) for claim in plan.claims],
                 Draws(header, plan.name).start,
+                # An exact bound needs a number of samples that no outcome decides, and a counterexample decides it.
                 fixed=None if plan.until_counterexample else plan.budget,
                 largest=plan.sense == "max",
             )
@@ -148,6 +149,7 @@ def _kriging_method(plan: ProblemPlan, problem: KrigingProblem) -> KrigingMethod
         lattice,
         kernel(plan, problem),
         KrigingPremises(problem.rkhs_norm, problem.prior_mean, (low, high), problem.delta),
+        # A guess is allowed: it decides how tight the bound is, and not whether it holds.
         spread=problem.spread or (constants.spread if constants else (high - low) / 10),
         budget=KrigingBudget(plan.budget, plan.replicates, problem.points or default),
     )

@@ -115,6 +115,7 @@ def mean(values: Sequence[float]) -> float:
         raise ValueError("a test needs at least one rollout")
     for value in values:
         _finite(value, "a rollout's value")
+    # Exact before its one rounding: the order in which replicates arrive changes no digit.
     return math.fsum(values) / len(values)
 
 

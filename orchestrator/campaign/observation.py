@@ -130,6 +130,7 @@ class Observer:
         values = self._scores(trajectories)
         # Some methods take the robustness: they mirror their bounds and not their data.
         if plan.candidates is None:
+            # 0 counts as a violation: a simulator that stops a distance at contact gives exactly 0 where it hits.
             y = float(values[0] <= 0) if plan.sense == "max" else -objectives.mean(values)
             return Observation(y, (*values, *self._of_requirements(plan, trajectories)))
         if replicates_are_robustness(plan.name, plan.problem.method):

@@ -38,6 +38,7 @@ class Recheck:
         self._header, self._recorded = header, recorded
         sizes = [plan.count(len(series.observations)) for series, plan in checked.values()]
         ends = list(accumulate(sizes))
+        # Not the head of the hash chain: it covers last digits of proposals, which another CPU could not repeat.
         files = digest([series.files for series, _ in checked.values()])
         numbers = drawn(header, self.name, files, sum(sizes), min(header.config.recheck, sum(sizes)))
         names, plans = list(checked), [plan for _, plan in checked.values()]

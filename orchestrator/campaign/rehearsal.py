@@ -95,6 +95,7 @@ class _KernelSurface:
         gram = self._kernel(np.linalg.norm(self._points[:, None, :] - self._points[None, :, :], axis=2))
         ridge = max(self._sd**2 / plan.replicates / problem.rkhs_norm**2, LEAST_RIDGE)
         values = np.array([one.y for one in found]) - self._prior
+        # Not the value of the nearest start: piecewise constant, it contradicts B, and the method would end early.
         self._weights = np.linalg.solve(gram + ridge * np.eye(len(gram)), values)
         low, high = value_range(plan)
         self._ends = -np.inf if low is None else low, np.inf if high is None else high

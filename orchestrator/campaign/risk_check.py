@@ -60,6 +60,7 @@ class RiskCheck:
     def of(cls, header: Header, spot: SpotCheck, spent: int, extensions: int = 0) -> "RiskCheck | None":
         """Return the check that follows a spot check of so many tests; None where nothing is to be decided, or left."""
         named = _refuted_risks(spot)
+        # What the spot check has left of its follow-ups: the campaign file limits both together.
         budget = spot.plan.max_tests - spent
         return cls(header, spot, named, budget, extensions) if named and budget > 0 else None
 
@@ -116,6 +117,7 @@ def _refuted_risks(spot: SpotCheck) -> list[NamedRisk]:
     for plan, finding in spot.findings():
         hypothesis = spot.hypotheses[plan.key]
         if finding.status == "refuted" and finding.start is not None and hypothesis.noisy and _is_linearised(plan):
+            # Fresh rollouts at the whole level: those that named the start would have to share it among all starts.
             bound = RiskUpperBound(plan.clip, plan.risk_weight, delta=spot.level)
             found.append(NamedRisk(plan, finding.start, -hypothesis.limit, bound))
     return found

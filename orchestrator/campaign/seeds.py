@@ -52,6 +52,7 @@ def _short_seed(header: Header, rollout: RolloutId) -> int:
     These differ within a campaign of at most 2^`seed_bits` possible rollouts, and within a test in every campaign.
     """
     config, bits = header.config, header.spec.seed_bits
+    # Not the bisection of a counterexample: all its rollouts have the seed of that one.
     series = sorted([*(each.name for each in config.problems), SPOT_CHECK, RECHECK])
     tests = max(config.spot_check + config.spot_check_followups, *map(config.max_tests_of, config.problems))
     replicates = max(config.spot_replicates, *map(config.replicates_of, config.problems))

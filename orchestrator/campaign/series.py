@@ -117,6 +117,7 @@ class Series:
 
 
 def _files_link(link: str, rollouts: list[RolloutFact]) -> str:
+    # Sorted: the order in which rollouts arrive depends on the workers.
     listed = sorted([str(each.rollout), each.seed, each.sha256] for each in rollouts)
     return hashlib.sha256((link + canonical_json(listed)).encode()).hexdigest()
 

@@ -90,6 +90,7 @@ class SearchSource:
         """Return the start that is nearest to the search's, or the next drawn one."""
         if self._plan.is_drawn(test):
             return self._method.propose(None, self._drawn(series))
+        # Without noise a repeat shows nothing, and method `rigorous` takes none.
         taken = [*series.nodes, *_nodes(series)] if self._plan.exact else ()
         node, x = self._space.nearest(np.array(self._search.propose(_open_starts(series))), taken)
         # The middle of the box, a rounded start, or a region so small that no candidate of the search is in it.
@@ -106,6 +107,7 @@ class SearchSource:
         node, nearest = self._space.nearest(np.array(x), ())
         if nearest != tuple(x) or (self._region is not None and not self._region([nearest])[0]):
             return None
+        # Rounding grows in the fit of the length scales, so another CPU may choose a start that is far from this one.
         if not self._search.is_as_good(nearest, own.x, _open_starts(series)):
             return None
         return Proposal(own.node if node is None else node, nearest, None, None, None, None)
@@ -114,6 +116,7 @@ class SearchSource:
         """Give the worst robustness of the test to the search, and the observation to the method if it is evidence."""
         proposal = series.last_proposal
         assert proposal is not None
+        # The worst, not the mean: one rollout below 0 is the counterexample.
         worst = min((each.robustness for each in series.last_rollouts if each.robustness is not None), default=math.inf)
         self._search.observe(proposal.x, max(-sys.float_info.max, min(worst, sys.float_info.max)))
         if self._plan.is_evidence(fact.test):

@@ -53,6 +53,7 @@ class SpotSeries(Series):
         tested = tested_variant({each.rollout.variant for each in rollouts})
         ordered = sorted(rollouts, key=lambda each: each.rollout)
         found = [each.robustness for each in ordered if each.rollout.variant == tested]
+        # Of the first test alone: follow-ups go to suspicious starts, and are no fair sample.
         self.robustness.setdefault(self.nodes[-1], tuple(value for value in found if value is not None))
         for each in rollouts:
             if each.robustness is not None:

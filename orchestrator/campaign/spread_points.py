@@ -30,6 +30,7 @@ def spread_points(
     low, high = np.array(ends).T
     found: dict[Start, None] = {}
     most = 2 * count / LEAST_SHARE
+    # Unscrambled, and the first ones first: a larger number of candidates repeats a smaller one.
     for number, shares in enumerate(sobol_blocks(len(parameters)), start=1):
         values = low + shares * (high - low)
         # The region first, to round few points of many; and once more, because rounding may leave it.

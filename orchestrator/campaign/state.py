@@ -40,6 +40,7 @@ from ...schemas.values import StoppedBy, Verdict
 Phase = Literal["absent", "running", "complete", "closed"]
 
 LEGAL: dict[tuple[Phase, str], tuple[Phase, ...]] = {
+    # Nothing else begins a test: no rollout is requested before its proposal is recorded.
     ("absent", "Proposed"): ("running",),
     ("running", "Recorded"): ("running", "complete"),
     ("complete", "Recorded"): ("complete",),
@@ -50,6 +51,7 @@ LEGAL: dict[tuple[Phase, str], tuple[Phase, ...]] = {
 Standing = Literal["going on", "spent", "answered"]
 LEGAL_OF_PROBLEM: dict[tuple[Standing, str], tuple[Standing, ...]] = {
     ("going on", "Observed"): ("going on", "spent", "answered"),
+    # Not one that is answered: it ended by its own rule, and no further test decides anything.
     ("spent", "Extended"): ("going on",),
 }
 """(standing of the problem, event) -> the standings that may follow."""

@@ -36,6 +36,7 @@ DISCARDED = "discarded_"
 """Of the ids of discarded rollouts, before their number."""
 EXTENDED = "extended_"
 """Of the ids of extensions, before their number and the problem."""
+# Listed always, and not counted: a lost cable must not change a byte, so crashes that choose outcomes show nowhere.
 UNRELATED = "unrelated_crashes"
 TRUSTED = (
     UNRELATED,

@@ -41,6 +41,7 @@ def made_key_folder() -> Path:
 
 def work_tree(folder: Path) -> Path | None:
     """Return the git work tree that a folder belongs to; None outside of any."""
+    # No git is started: it may be missing, and the folders show it as well.
     inside = folder.resolve()
     # A file in a submodule and in a second work tree.
     return next((each for each in (inside, *inside.parents) if (each / ".git").exists()), None)

@@ -314,6 +314,7 @@ def _mean_below(
     if config.clip is None or not config.clip[0] < required < config.clip[1]:
         return None
     low, high = config.clip
+    # One test for all starts: a bound at each would share delta among starts whose number nothing fixes.
     test = OppositeTest(required, low, high)
     for start, value in pairs:
         test.observe(start, min(max(value, low), high))

@@ -72,6 +72,7 @@ def sensitivity(
     numbered = [(k, basis) for k, basis in enumerate(bases(config)) if _from_kernels(basis, plans)]
     if not numbered:
         return None
+    # From the recorded tests, in one step: a replay would take as long as the campaign, for the running extremes alone.
     varied = {each: _varied(accounts, results, *each) for each in VARIATIONS}
     return tuple(
         document.Sensitivity(

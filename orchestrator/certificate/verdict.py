@@ -159,11 +159,13 @@ def _required_probability(config: CampaignConfig, claim: CertificateClaim) -> fl
         return config.required_probability
     if is_sampled(claim.quantity):
         return claim.probability
+    # Of method `paper` as well, whose claims miss it: their probability is another one, by Mill's inequality.
     deltas: dict[str, float] = {problem.name: problem.delta or 0.0 for problem in config.problems}
     for each, part in zip(config.specifications, parts_of(config), strict=False):
         deltas |= {f"{problem.name}/{each.name}": problem.delta or 0.0 for problem in part.problems}
     basis = bases(config)[0]
     found = [deltas[key] for key in basis.problems]
+    # A claim about every requirement fails with the largest delta alone, see `JointMethod`; other rules add them up.
     return 1.0 - (max(found) if basis.rule == "every" else math.fsum(found))
 
 

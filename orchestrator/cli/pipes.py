@@ -30,6 +30,7 @@ class _Output(io.FileIO):
             try:
                 return super().write(data)
             except BrokenPipeError:
+                # Not SIG_DFL for SIGPIPE: it would kill a run in the middle, also where Zenoh writes to a closed link.
                 self.unread = True
             except OSError as error:
                 error.filename = "stdout"

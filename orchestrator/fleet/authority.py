@@ -50,6 +50,7 @@ class Order:
 
 def new_authority(now: datetime, days: int) -> Signer:
     """Make an authority, with a random name, that signs certificates of its own alone, and no further authority."""
+    # P-256: the TLS library of Zenoh takes it as well as Ed25519, and so does every other tool.
     key = ec.generate_private_key(ec.SECP256R1())
     name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, f"perfbound authority {secrets.token_hex(4)}")])
     signs = x509.KeyUsage(
@@ -77,6 +78,7 @@ def issue_certificate(
         AuthorityError: the authority would end before it.
 
     """
+    # Links do not check the end of the authority itself, so nothing that it issues may outlive it.
     left = (signer.certificate.not_valid_after_utc - now) // timedelta(days=1)
     if days > left:
         end = time_text(signer.certificate.not_valid_after_utc)
@@ -85,7 +87,9 @@ def issue_certificate(
             f"--days {days}: the authority itself ends at {end}; {remedy} a new one with `perfbound pki init --folder`"
         )
     key = ec.generate_private_key(ec.SECP256R1())
+    # The role is for people and clear refusals; what guards are the router's rules, which see common names alone.
     subject = [(NameOID.ORGANIZATIONAL_UNIT_NAME, f"{UNIT}{order.role}"), (NameOID.COMMON_NAME, order.name)]
+    # Without serverAuth nobody can listen with the certificate of a worker.
     uses = [ExtendedKeyUsageOID.CLIENT_AUTH] + ([ExtendedKeyUsageOID.SERVER_AUTH] if order.role != "worker" else [])
     signs = x509.KeyUsage(
         digital_signature=True, content_commitment=False, key_encipherment=False, data_encipherment=False,
@@ -117,6 +121,7 @@ def checked_order(name: str, role: Role, hosts: Sequence[str]) -> Order:
         AuthorityError: the name or a host cannot be used.
 
     """
+    # No dot in the name of a worker, since it is a part of the keys of its messages, which have none.
     if len(name) > LONGEST_NAME or not HOST.fullmatch(name) or (role == "worker" and "." in name):
         dots = "" if role == "worker" else ", with dots between parts"
         raise AuthorityError(
@@ -145,6 +150,7 @@ def check_apart(order: Order, others: Sequence[Order], ended: Sequence[Order] = 
         if other.name == order.name and other.role != order.role:
             raise AuthorityError(f"{order.name!r}: is the name of an issued {other.role}; choose another name")
     for other in others:
+        # The rules of the link admit NAME-*: one of two such workers could speak for the other.
         both_workers = order.role == other.role == "worker"
         if both_workers and (other.name.startswith(f"{order.name}-") or order.name.startswith(f"{other.name}-")):
             raise AuthorityError(

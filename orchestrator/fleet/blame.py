@@ -20,11 +20,13 @@ def charge(state: DispatchState, failed: Fail, at: float) -> tuple[DispatchState
         return _excused(state, frozenset({failed.attempt})), ()
     for place in standing.due(state.standings, name, host, limits):
         other = host if place.kind == "host" else None
+        # Where nobody else does well the system may be at fault: the failure then counts against its rollout.
         if others_in_good_standing(state, at, worker=name, host=other):
             found = state.standings[place]
             state = replace(state, standings=standing.set_aside(state.standings, place, at, limits))
             reason = f"{found.failures} rollouts in a row have failed, the last: {failed.failure.reason}"
             aside = SetAside(place, standing.pause(found.pauses, limits), reason)
+            # The failures before it as well: what set the place aside was the cause of all of them.
             return _excused(state, found.attempts), (aside,)
     return state, ()
 

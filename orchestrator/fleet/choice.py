@@ -17,6 +17,7 @@ def eligible(state: DispatchState, at: float) -> list[str]:
     found = [name for name, host in serving if not is_aside(state.standings, name, host, at)]
     if found:
         return found
+    # The last good worker may only be restarting: bad ones must not use up a rollout's attempts while it is away.
     patience = state.limits.first_pause
     return [name for name, host in serving if at >= last_failure(state.standings, name, host) + patience]
 
@@ -134,10 +135,12 @@ def _worker(
         return free[0], ELSEWHERE
     hosts = {name: state.workers[name].host for name in allowed}
     ranks = {
+        # The second part, because two nodes that lack a licence would confirm each other's failure.
         name: (known.rank(name, host), host not in state.proven or in_a_row(state.standings, name) > 0)
         for name, host in hosts.items()
     }
     best = min(ranks.values())
     if best[0] == SAME_WORKER and (known.is_waiting or others_may_come(state, rollout, at)):
         return None, best[0]
+    # The best may be busy, and is waited for: a second failure says more the less it shares with the first.
     return next((name for name in free if ranks[name] == best), None), best[0]

@@ -78,18 +78,22 @@ LEGAL: dict[tuple[Phase, str], tuple[Phase, ...]] = {
     **{("unknown", event): ("unknown",) for event in ("WorkerDown", "Reported", "Delivered", "HandedBack")},
     **{(phase, "WorkerUp"): (phase,) for phase in KNOWN},
     **{(phase, "WorkerDown"): ("gone",) for phase in KNOWN},
+    # It stays `new` with an attempt that is revoked and not adopted, and is `shunned` if it leaves at once.
     ("new", "Reported"): ("new", "idle", "busy", "shunned"),
     ("idle", "Reported"): ("idle", "shunned"),
     **{(phase, event): (phase,) for phase in ("new", "idle") for event in ("Delivered", "HandedBack", "Tick")},
     ("idle", "HandOut"): ("idle", "sent"),
+    # An idle heartbeat may have crossed the assignment, so it proves nothing: the worker stays `sent`.
     ("sent", "Reported"): ("sent", "busy"),
     ("sent", "Delivered"): ("sent", "idle"),
     **{("sent", event): ("sent", "shunned") for event in ("HandedBack", "Tick")},
     ("busy", "Reported"): ("busy",),
     ("busy", "Delivered"): ("busy", "idle"),
+    # Whoever hands back is about to end, and gets nothing more.
     **{("busy", event): ("busy", "shunned") for event in ("HandedBack", "Tick")},
     ("shunned", "Reported"): ("shunned", "idle"),
     **{("shunned", event): ("shunned",) for event in ("Delivered", "HandedBack", "Tick")},
+    # Only the network may have been away: a worker returns in the phase in which it went.
     ("gone", "WorkerUp"): KNOWN,
     **{("gone", event): ("gone",) for event in ("WorkerDown", "Reported", "Delivered", "HandedBack")},
     ("gone", "Tick"): ("gone", "unknown"),
@@ -134,6 +138,7 @@ def _want(state: DispatchState, event: Wanted) -> Outcome:
     # Numbered on from the attempts before a restart: a late result of theirs must not pass for one of a new attempt.
     fresh = ((rollout, attempts) for rollout, attempts in event.rollouts if rollout not in state.open)
     new = {rollout: _opened(event, rollout, attempts) for rollout, attempts in fresh}
+    # Behind all others: a retry, for which the observation of its test waits, goes in front.
     state = replace(state, open={**state.open, **new}, waiting=(*state.waiting, *new))
     # A process that repeats its own rollouts repeats what it drew at its start as well: another one shows it.
     alone = eligible(state, event.at)
@@ -143,6 +148,7 @@ def _want(state: DispatchState, event: Wanted) -> Outcome:
 
 
 def _opened(event: Wanted, rollout: RolloutId, attempts: int) -> Open:
+    # Of before a restart only failures that blame the rollout: the machines may have been repaired since.
     earlier = event.failed.get(rollout, ())
     fails, hosts = tuple(each.fail for each in earlier), tuple(each.host for each in earlier)
     known = Open(attempts, fails, hosts, avoid=event.avoid.get(rollout), compare=rollout in event.compared)
@@ -175,6 +181,7 @@ def _present(state: DispatchState, event: WorkerUp | WorkerDown | RouterChanged 
 def _up(state: DispatchState, event: WorkerUp) -> DispatchState:
     worker = state.workers.get(event.worker)
     if worker is None:
+        # Nothing is assigned before its first heartbeat: after a partition or a restart it may be busy.
         return _put(state, event.worker, Worker("new", host=event.host, started_at=event.at, progress_at=event.at))
     if worker.phase != "gone":
         return state  # a repeated token
@@ -238,6 +245,7 @@ def _adopt(state: DispatchState, event: Reported) -> DispatchState:
     host = state.workers[event.worker].host
     worker = Worker("busy", event.attempt, host, started_at=event.at, progress=event.progress, progress_at=event.at)
     state = _put(state, event.worker, worker)
+    # Else a second worker would get what this one is about to end.
     return replace(state, waiting=tuple(other for other in state.waiting if other != rollout))
 
 
@@ -249,6 +257,7 @@ def _is_adoptable(state: DispatchState, attempt: Attempt) -> bool:
 def _deliver(state: DispatchState, event: Delivered) -> Outcome:
     acknowledge, rollout = Acknowledge(event.worker, event.attempt), event.attempt.rollout
     is_held = _holds(state, event.worker, event.attempt)
+    # First: what follows asks whether a worker still holds the rollout.
     state = _release(state, event.worker, event.attempt)
     failed, is_open = event.failure, rollout in state.open
     # Late, but evidence all the same: if another attempt was recorded, the system does not repeat with its seed.
@@ -268,6 +277,7 @@ def _deliver(state: DispatchState, event: Delivered) -> Outcome:
         state, cancels = _cancel_others(state, rollout, event.at)
         state = _close_rollouts(state, frozenset({rollout}))
     state, back = clear(replace(state, recorded=state.recorded + 1), event.worker, event.at)
+    # Record before Acknowledge: once acknowledged, no worker has the bytes any more.
     return state, (*opinion.actions, Record(event.worker, event.attempt), acknowledge, *cancels, *back)
 
 
@@ -298,6 +308,7 @@ def _tick(state: DispatchState, at: float) -> Outcome:
     for name, worker in state.workers.items():
         state, more = _watch(state, name, worker, at)
         actions += more
+    # After the watch: a wait ends when nobody is expected any more, and a lost worker no longer is.
     return forget_past(end_waits(state, at), at), tuple(actions)
 
 
@@ -309,10 +320,12 @@ def _watch(state: DispatchState, name: str, worker: Worker, at: float) -> Outcom
         seconds = f"{lost_after(state, at):g} s"
         lost, failed = Failure("infrastructure", f"worker lost for {seconds}"), tuple[Action, ...]()
         if worker.attempt is not None:
+            # Without its attempt before the failure is counted: a rollout that a worker holds counts as decided.
             state = _put(state, name, replace(worker, attempt=None, resumes_as="shunned"))
             state, failed = _fail(state, name, worker.attempt, lost, at)
         # The whole entry is removed: if the process is alive, its token makes it a `new` worker, and it reports first.
         left = {key: value for key, value in state.workers.items() if key != name}
+        # A process that returns under this name is compared anew, and memory does not grow with all that ever were.
         compared = {key: value for key, value in state.comparisons.items() if key != name}
         return replace(state, workers=left, comparisons=compared), failed
     # It neither reports idle nor disappears. `progress_at` starts anew, so that it is given up again later.
@@ -335,6 +348,7 @@ def _shun(state: DispatchState, name: str, worker: Worker, failure: Failure, at:
     assert worker.attempt is not None
     state = _put(state, name, worker.shunned(at))
     state, actions = _fail(state, name, worker.attempt, failure, at)
+    # The failure may have given it up as well, and a process is ended once.
     others = tuple(action for action in actions if action != GiveUp(name))
     return state, (Revoke(name, worker.attempt), *others, GiveUp(name))
 
@@ -347,6 +361,7 @@ def _fail(state: DispatchState, name: str, attempt: Attempt, failure: Failure, a
         return state, (failed,)  # a repeat, or another attempt is under way: no second count
     known = replace(known, failures=(*known.failures, failed), hosts=(*known.hosts, state.host(name)))
     state = replace(state, open={**state.open, rollout: known})
+    # Blame first: a failure that sets its worker or host aside does not count against the rollout below.
     state, aside = charge(state, failed, at)
     limits, alone, elsewhere = state.limits, is_alone(state, rollout, at), nearest(state, rollout, at) == ELSEWHERE
     if is_poison(state.open[rollout], limits, proven=state.proven, alone=alone, elsewhere=elsewhere):
@@ -367,6 +382,7 @@ def _assign(state: DispatchState, at: float) -> Outcome:
     state, found, waits = hand_out(state, at)
     starts = tuple(Start(name, Attempt(rollout, state.open[rollout].attempts + 1)) for name, rollout in found)
     state, back = take_back(state, [name for name, _ in found], at)
+    # Every clock of the attempt starts now, when it is sent, and not when its rollout began to wait.
     sent = {
         start.worker: replace(
             state.workers[start.worker], phase="sent", attempt=start.attempt, sent_at=at, started_at=at, progress_at=at

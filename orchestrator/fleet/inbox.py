@@ -64,6 +64,7 @@ class Inbox(Generic[T]):
             self._queue.put(message)
             return
         with self._lock:
+            # In the place of the first: at the end of the queue a worker that is always replaced would never be heard.
             if key in self._newest:
                 self._newest[key] = message
                 return
@@ -82,6 +83,7 @@ class Inbox(Generic[T]):
     def get(self, timeout: float) -> T:
         """Return the next message, at once if `timeout` in s is not positive; raises `queue.Empty`."""
         entry = self._queue.get(timeout=timeout) if timeout > 0 else self._queue.get_nowait()
+        # Only up to the first of those that it replaces: nobody counts as hung whose progress waits behind this entry.
         self.complete = getattr(entry, "at", 0.0)
         with self._lock:
             message = self._newest.pop(entry.key) if isinstance(entry, _Replaceable) else entry
@@ -116,6 +118,7 @@ class Budget:
 
     def release_with(self, result: _Sent, size: int) -> None:
         """Give the room back when nothing holds the result any more, wherever it is then."""
+        # No explicit call: it may be in the queue, the decoder or the admission, and no exception may leak room.
         weakref.finalize(result, self._release, result.worker, size)
 
     @property

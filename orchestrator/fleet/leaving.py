@@ -31,6 +31,7 @@ def hand_back(state: DispatchState, event: HandedBack) -> tuple[DispatchState, t
     acknowledge = Acknowledge(event.worker, event.attempt)
     if worker is not None and worker.attempt == event.attempt:
         state = _without_attempt(state, event, worker)
+    # Acknowledged all the same: the worker repeats it until it has that.
     if rollout not in state.open:
         return state, (acknowledge,)
     # In front, as after a failure; unless it waits or is simulated already, as when this is a repeat.

@@ -48,8 +48,10 @@ def consider(state: DispatchState, event: Delivered) -> Decision:
     """Take a valid result of an open rollout."""
     name, rollout = event.worker, event.attempt.rollout
     known = state.open[rollout]
+    # Dropped, and acknowledged all the same, or the worker would deliver it for ever.
     if is_outvoted(state, name):
         return Decision(queued_again(state, rollout), counts=False)
+    # A rollout that is compared stays so: an opinion for honesty is not settled by the rules of a doubt.
     compared = known.compare or not all(each.doubtful for each in known.opinions) or _is_first(state, name, event.at)
     if not (compared or event.doubtful):
         return _settled(state, rollout, event)
@@ -64,13 +66,16 @@ def consider(state: DispatchState, event: Delivered) -> Decision:
     noted = Compared(name, event.attempt, event.digest)
     counted = [each for each in known.opinions if not is_outvoted(state, each.worker)]
     agreeing = [each.worker for each in counted if each.digest == event.digest]
+    # A doubt is one about the system, so two equal results of one worker settle it.
     if not compared and len(agreeing) > 1:
         return _settled(state, rollout, event, noted)
     # A worker that repeats itself says nothing against another one, nor against what it has sent before.
     if len(agreeing) > 1 and (len(set(agreeing)) > 1 or len(agreeing) == len(counted)):
         return _agreed(state, opinion, agreeing, noted)
+    # Without a majority among three only a worker that is not here could tell who is right.
     if len(counted) >= MOST:
         return _divided(state, rollout, noted)
+    # In a fresh process, or what the old one drew at its start would agree with itself.
     alone = compared and is_alone(state, rollout, event.at)
     fresh = (GiveUp(name),) if alone else ()
     return Decision(queued_again(state, rollout), counts=False, actions=(noted, *fresh))
@@ -79,6 +84,7 @@ def consider(state: DispatchState, event: Delivered) -> Decision:
 def without(standings: Standings, workers: Iterable[str]) -> Standings:
     """Return the standings with workers that are set aside for good."""
     places = [Place("worker", name) for name in workers]
+    # `last` as well: by it standings are forgotten, and workers get rollouts again where all are set aside.
     banned = {each: replace(standings.get(each, Standing()), last=FOR_GOOD, until=FOR_GOOD) for each in places}
     return {**standings, **banned}
 
@@ -93,6 +99,7 @@ def queued_again(state: DispatchState, rollout: RolloutId) -> DispatchState:
 def _is_first(state: DispatchState, worker: str, at: float) -> bool:
     if not state.second_opinion or state.comparisons.get(worker, 0) >= FIRST:
         return False
+    # Not of a worker that is alone: every fresh process would have first results, without end.
     return has_others(state, worker, at)
 
 
@@ -102,6 +109,7 @@ def _settled(state: DispatchState, rollout: RolloutId, event: Delivered, *noted:
     for each in state.open[rollout].opinions:
         if each.digest != event.digest:
             failed = Fail(each.worker, each.attempt, UNLIKE)
+            # As any failure: who often sends what is unlike all others is set aside, and nobody outvoted for a doubt.
             state, aside = charge(state, failed, event.at)
             actions += [failed, *aside]
     return Decision(state, counts=True, actions=tuple(actions))

@@ -137,6 +137,7 @@ class Fleet:
     def stop(self) -> None:
         """End all workers and what their rollouts have left, and wait for them."""
         for child in self._children:
+            # All of them before any is waited for, so that they end side by side.
             child.process.terminate()
         self._wait(GRACE)
         for child in self._children:

@@ -84,6 +84,7 @@ def missed(deadline: float) -> Failure:
 
 def blames_rollout(failure: Failure, deadline: float) -> bool:
     """Whether a failure says something about its rollout, and not about its worker alone."""
+    # Not a crash: kill -9, the memory killer and a segmentation fault look alike, and each would blame its rollout.
     return failure.kind == "system" or failure == missed(deadline)
 
 
@@ -101,7 +102,9 @@ def is_poison(known: Open, limits: Limits, *, proven: Container[str], alone: boo
     if last.attempt in known.excused:
         return False
     alike = [each.worker for each, _ in counted if each.failure == last.failure]
+    # One may come of a broken machine, which must not end the campaign; after two a third attempt teaches nothing.
     if blames_rollout(last.failure, limits.deadline) and len(alike) > 1 and (alone or len(set(alike)) > 1):
         return True
+    # Broken machines are mostly idle: they would use up the attempts before a good one ends its first rollout.
     reliable = [each for each, host in counted if host in proven or not elsewhere]
     return len(reliable) >= limits.max_attempts

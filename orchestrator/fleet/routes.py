@@ -13,6 +13,7 @@ from .state import DispatchState, Worker
 
 def router_changed(state: DispatchState, event: RouterChanged) -> DispatchState:
     """Have patience with gone workers from now on."""
+    # From this change alone: a router that is taken out of service must not keep the long limit on for good.
     return replace(state, grace=event.grace, patient_until=event.at + event.grace)
 
 
@@ -31,6 +32,7 @@ def lost_after(state: DispatchState, at: float) -> float:
 
 def is_lost(state: DispatchState, worker: Worker, at: float) -> bool:
     """Whether a gone worker is given up."""
+    # Without a link every token is missing, and after it workers need their whole time to be heard again.
     return state.linked and at - max(worker.gone_at, state.linked_at) >= lost_after(state, at)
 
 

@@ -107,6 +107,7 @@ def _listening_at(
         tries -= 1
         try:
             configured(endpoints)  # its faults first: to choose a port needs a well-formed endpoint
+            # Chosen here: Zenoh names the port that it took in its admin space alone, which is closed to us as well.
             chosen = [with_port(endpoint) for endpoint in endpoints]
             return _open(configured(chosen)), chosen
         except LinkError as error:

@@ -83,6 +83,7 @@ def count_failure(standings: Standings, worker: str, host: str, attempt: Attempt
     found = dict(standings)
     for place in _places(worker, host):
         old = found.get(place, Standing())
+        # A rollout that kills every worker must not make all of them suspects.
         repeated = any(each.rollout == attempt.rollout for each in old.attempts)
         found[place] = replace(
             old,
@@ -112,6 +113,7 @@ def due(standings: Standings, worker: str, host: str, limits: Limits) -> tuple[P
     """Return the places that a failure may set aside, the host of the worker first."""
     own, shared = (standings.get(place, Standing()) for place in _places(worker, host))
     contrast = len(shared.workers) > 1 and shared.elsewhere >= limits.in_a_row
+    # No contrast for one worker: while a long campaign has no result yet, it could fail every waiting rollout once.
     places = ((Place("host", host), shared, contrast), (Place("worker", worker), own, True))
     return tuple(place for place, found, allowed in places if allowed and found.failures >= limits.in_a_row)
 
@@ -119,6 +121,7 @@ def due(standings: Standings, worker: str, host: str, limits: Limits) -> tuple[P
 def set_aside(standings: Standings, place: Place, at: float, limits: Limits) -> Standings:
     """Begin the next pause of a place; its failures so far no longer count against their rollouts."""
     old = standings[place]
+    # The number of failures stays: after the pause one more is enough.
     new = replace(old, attempts=frozenset(), pauses=old.pauses + 1, until=at + pause(old.pauses, limits))
     return {**standings, place: new}
 
@@ -129,6 +132,7 @@ def pause(before: int, limits: Limits) -> float:
     >>> [pause(before, Limits()) for before in (0, 1, 5, 6, 10**6)]
     [30.0, 60.0, 960.0, 1800.0, 1800.0]
     """
+    # Capped before the power, which overflows from 1024 on.
     return min(limits.first_pause * 2.0 ** min(before, 60), limits.longest_pause)
 
 

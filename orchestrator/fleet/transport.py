@@ -155,6 +155,7 @@ class ZenohTransport:
         session, liveliness = self._session, self._session.liveliness()
         states = session.declare_subscriber(keys.state_key(run, "*"), handler(CHANNEL))
         results = session.declare_subscriber(keys.result_key(run, "*", "*", "*"), handler(CHANNEL))
+        # With history: workers that wait for this orchestrator declared their tokens before it came.
         tokens = liveliness.declare_subscriber(keys.live_worker(run, "*"), handler(CHANNEL), history=True)
         for subscriber, read in ((states, _heartbeat), (results, partial(_result, self._budget)), (tokens, _token)):
             self._pump(subscriber, read, sink)
@@ -285,6 +286,7 @@ def garbage(end: OrchestratorEnd, at: float, worker: str, error: Exception) -> G
 
 
 def _token(_end: OrchestratorEnd, sample: zenoh.Sample, at: float) -> Inbound:
+    # A token has no seal, and alone admits nobody: a worker is up from its first sealed heartbeat on.
     return Token(at, keys.worker_of(str(sample.key_expr)), alive=sample.kind == zenoh.SampleKind.PUT)
 
 
@@ -318,10 +320,12 @@ def _result(budget: Budget, end: OrchestratorEnd, sample: zenoh.Sample, at: floa
     if sample.kind != zenoh.SampleKind.PUT:
         return None
     worker = keys.worker_of(str(sample.key_expr))
+    # The seal first: bytes of a stranger take no room.
     header = end.header(worker, _attached(sample))
     if len(sample.payload) > MAX_RESULT:
         raise MessageError(f"{len(sample.payload)} bytes are more than the {MAX_RESULT} of a trajectory")
     size = len(sample.payload)
+    # Before the copy, which is what fills the memory.
     budget.reserve(worker, size)
     result = Result(at, worker, header, sample.payload.to_bytes())
     budget.release_with(result, size)

@@ -62,6 +62,7 @@ def _begin_waits(
     if not found:
         return state, ()
     seconds = state.limits.others_within
+    # One line: when a router goes, hundreds may begin to wait at once.
     others = any(each.is_waiting for each in state.open.values())
     for rollout in found:
         state = _with(state, rollout, replace(state.open[rollout], waits_until=at + seconds))

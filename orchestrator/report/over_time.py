@@ -40,6 +40,7 @@ def with_margin(
         signal = robustness_signal(tree, trajectory.columns, samples)
         read = ~np.isnan(signal.values)
         t, margin = thinned(samples[read, 0], signal.values[read])
+        # Down the tree of the formula, not where the signal is least: right for nested operators and until as well.
         found = worst_moment(tree, trajectory.columns, samples)
         if found is not None:
             moment, columns = (float(samples[found.first, 0]), float(samples[found.last, 0])), found.columns

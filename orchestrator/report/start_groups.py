@@ -27,6 +27,7 @@ def grouped(starts: Sequence[ViolatingStart], ranges: Sequence[tuple[float, floa
     worst_first = sorted(starts, key=lambda start: (start.worst, start.x))
     kept, others = worst_first[:MOST_STARTS], worst_first[MOST_STARTS:]
     groups: dict[int, list[ViolatingStart]] = {}
+    # Single linkage: nothing to choose, and no random start, as k-means and DBSCAN have.
     for start, number in zip(kept, _linked(_scaled(kept, ranges)), strict=True):
         groups.setdefault(number, []).append(start)
     return ViolatingStarts(

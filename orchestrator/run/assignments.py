@@ -49,6 +49,7 @@ def _known_key(path: Path) -> bytes | None:
         return None
     with open(descriptor, "rb") as file:
         found = os.fstat(descriptor)
+        # Who could read it could prove results; with a fresh key the attempts under way are made again.
         if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid() or found.st_mode & 0o077:
             return None
         key = file.read(LENGTH + 1)

@@ -38,6 +38,7 @@ AT_EVERY_TEST = ("rigorous", "scenario")
 PREFIX = "runs/"
 """Of the addresses of campaigns."""
 
+# Of files, and kept in memory alone: a cache beside the runs could disagree, and network disks report no changes.
 _Stamp = tuple[tuple[int, int, int] | None, ...]
 
 

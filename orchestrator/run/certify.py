@@ -23,6 +23,7 @@ def certify(directory: Path, ledger: Ledger, report_end: Callable[[], None] | No
     """
     for fact in observed_discards(ledger):
         read_evidence(directory, fact.path, fact.sha256)
+    # Before the certificate: the run directory is handed on from then, and the key of the assignments proves results.
     assignments.forget(directory)
     found = manifest(((sha256, path) for _, sha256, path in read.observed(directory)), observed_discards(ledger))
     irreproducible = read.irreproducible(directory) > 0
@@ -32,5 +33,6 @@ def certify(directory: Path, ledger: Ledger, report_end: Callable[[], None] | No
     table = None if regions is None else regions.csv
     files.write(directory, certificate, found.text, table, table_digests(directory))
     if report_end is not None:
+        # After the certificate is on the disk: a worker that is told so drops all its results.
         report_end()
     remove_so_far(directory)

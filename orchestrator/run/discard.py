@@ -44,6 +44,7 @@ def discard_rollout(directory: Path, name: str, reason: str) -> DiscardFact:
             ledger.replay()
             fact = _recorded(ledger, journal, name)
             _refuse_valid(ledger, directory, fact)
+        # The replay may have taken minutes, in which the file server can give the lock of this node away.
         held.check()
         return write_discard(directory, fact, reason)
 

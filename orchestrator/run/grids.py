@@ -39,6 +39,7 @@ class Grids:
         """Whether the grid of a worker's result is known; afterwards that worker has sent it."""
         grid, new = _digest(trajectory), ("", rollout)
         first = self._senders.pop(grid, new)
+        # Two workers, or one that repeats it: a worker alone may be wrong in the same way for every rollout.
         known = first is None or (first is not new and (first[0] != worker or first[1] == rollout))
         self._senders[grid] = (
             None if known else (worker, rollout)

@@ -42,6 +42,7 @@ class Outbox:
 
     def set_intervals(self, intervals: Mapping[str, float]) -> None:
         """Tell workers the seconds between their heartbeats."""
+        # A message of its own: models are closed, so a new key in another message would be refused and not ignored.
         self._waiting += [(worker, HeartbeatInterval(seconds=each)) for worker, each in intervals.items()]
 
     def report_end(self, workers: Iterable[str]) -> None:

@@ -129,6 +129,7 @@ def issue_files(folder: Path, order: Order, days: int, out: Path | None) -> tupl
             f"{order.name}.pem": (pem, 0o644),
             f"{order.name}-key.pem": (key_bytes(key), 0o600),
         }
+        # The copy first: no certificate is in use that the list of issued ones does not have.
         with _with_copy(folder / ISSUED / f"{order.name}-{certificate.serial_number:x}.pem", pem):
             try:
                 write_folder(out.resolve(), contents)

@@ -60,6 +60,7 @@ class Results:
             self._decoder.submit(result, self.request(attempt.rollout))
             return ()
         if header.outcome == "failed":
+            # The worker has decided the kind, by the place of the fault; from here it cannot be told.
             failure = Failure(header.kind or "infrastructure", header.error or "the worker gave no reason")
         elif is_open:
             failure = self._admit(attempt, result, decoded)
@@ -85,6 +86,7 @@ class Results:
 
     def _is_doubted(self, compared: Compared) -> bool:
         """Whether a result with an unknown time grid is simulated once more before it counts."""
+        # What nothing can simulate once more cannot be doubted.
         if compared == "same" or self._ledger.header.spec.repeated == "nowhere":
             return False
         return compared == "first of a pair" or not self._grids.vary

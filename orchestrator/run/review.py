@@ -58,5 +58,6 @@ class Review:
 
     def take(self, worker: str, attempt: Attempt, sha256: str) -> None:
         """Write the digest of a result."""
+        # Nothing is recorded again: bounds rest on the first result, and the certificate says where it differs.
         del self._requests[attempt.rollout]
         self._journal.attempts.opinion("reviewed", attempt, worker, sha256)

@@ -188,6 +188,7 @@ class Service:
                 self._tick(complete)
             self._begin_review()
             if self._draining is None:
+                # After the writes of the turn: the clocks of attempts start here, and a record may take long.
                 self._events.append(events.HandOut(time.monotonic()))
                 self._settle()
             elif not dispatch.under_way(self._state):
@@ -261,6 +262,7 @@ class Service:
             case events.Start(worker, attempt):
                 state = self._roster.admitted(worker)
                 assert state is not None, "the dispatch machine has admitted workers only"
+                # Before its assignment leaves: after a restart only an attempt that is recorded can be adopted.
                 self._journal.attempts.started(attempt, worker, state.host, state.pid)
                 self._outbox.assign(worker, attempt, self._results.request(attempt.rollout))
             case events.Resend(worker, attempt):

@@ -140,6 +140,7 @@ def _directives(options: SlurmOptions, job: str) -> list[str]:
         # Relative to the folder of the submission, which is that of the job files.
         ("output", "%x-%A_%a.log" if array else "%x-%j.log"),
         ("open-mode", "append"),
+        # Not B:TERM: a shell that hands it on would send a second one at scancel, which ends a worker at once.
         ("signal", f"B:USR1@{WARNING}"),
     ]
     given = [f"#SBATCH --{name}={value}" for name, value in lines if value is not None]

@@ -98,6 +98,7 @@ class SoFarListener:
         self._next = now + PERIOD
         # No time is left to estimate while nothing can arrive.
         found = self._found(status, 0.0 if is_down(status.link) else rate, *self._holding)
+        # Computed here alone: a reader that does it would have to load the numerics and replay for minutes.
         write_so_far(self._directory, found)
         self._output.so_far(found)
 

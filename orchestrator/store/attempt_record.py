@@ -29,6 +29,7 @@ def table_digests(directory: Path, rows: Mapping[str, int] | None = None) -> dic
             # No row is ever removed: the row number is the order in which they were written.
             every = sa.select(tables.metadata.tables[name]).order_by(sa.literal_column("rowid"))
             for row in connection.execute(every.limit(None if rows is None else rows.get(name, 0))):
+                # `repr`, for an edited table may contain any type, and must differ and not raise.
                 made.update(json.dumps(list(row), default=repr).encode() + b"\n")
                 number += 1
             found[name] = TableDigest(rows=number, sha256=made.hexdigest())

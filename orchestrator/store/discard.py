@@ -45,6 +45,7 @@ def _move(connection: Connection, fact: RolloutFact, kept: str, reason: str) -> 
     newest = [connection.execute(sa.select(sa.func.max(table.c.seq))).scalar() or 0 for table in tables.FACTS]
     row = {name: value for name, value in row.items() if name in tables.discards.c}
     row |= {"recorded": row["seq"], "seq": max(newest) + 1, "path": kept, "reason": reason}
+    # Moved, not marked: a second row for one rollout would have to be left out of every query.
     connection.execute(tables.discards.insert().values(**row))
     unguarded(connection, tables.rollouts, tables.rollouts.delete().where(this))
 

@@ -250,6 +250,7 @@ def _open_session(connection: Connection, origin: Origin) -> int:
             "system": origin.system,
             "revision": origin.revision,
             "platform": platform_class(),
+            # Outside of chain and certificate: who ran a campaign proves nothing, and names are not for everybody.
             "account": _account(),
             "options": None if origin.options is None else canonical_json(list(origin.options)),
         }

@@ -95,6 +95,7 @@ def campaign_lock(directory: Path) -> Iterator[RunLock]:
             raise _running(directory)
         stack.callback(_release, descriptor, os.getpid())
         held = RunLock(path, descriptor, secrets.token_hex(TOKEN // 2).encode())
+        # After the server has given the lock away and the next holder has ended, flock succeeds: only this shows it.
         _write_token(held)
         stop_request.withdraw_request(directory)  # of before: it was meant for an orchestrator that has ended
         stack.callback(stop_request.withdraw_request, directory)
@@ -205,6 +206,7 @@ def _is_in_place(descriptor: int, path: Path) -> bool:
 def _has_locked(descriptor: int, *, shared: bool = False) -> bool:
     """Lock an open file or folder; return whether nobody else has it."""
     try:
+        # Not fcntl's locks, which are lost when any other descriptor of the file is closed in this process.
         fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
     except BlockingIOError:
         return False

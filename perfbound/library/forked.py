@@ -121,6 +121,7 @@ class _ForkedFleet(Fleet):
 
     def _started(self, worker: str) -> ChildProcess:
         ours, theirs = multiprocessing.Pipe()
+        # Forked: pickled, a function would take along what it refers to by guess, and meet other versions of that.
         child = multiprocessing.get_context("fork").Process(
             target=_serve_pipe, args=(worker, theirs, self._system, self._left), daemon=True
         )

@@ -64,6 +64,7 @@ def _numerics() -> ThreadpoolController:
 
     from ..orchestrator.campaign import ledger  # noqa: F401, PLC0415
 
+    # Not by environment variables: numpy has read them by now, and they would stay for the rest of the notebook.
     return ThreadpoolController().select(user_api="blas")
 
 

@@ -194,6 +194,7 @@ class Study:
     def ask(self) -> TrialRequest | None:
         """Return the next rollout that is wanted, the same one until it is told; None when the campaign is done."""
         with self._locked() as rollouts:
+            # Nobody remembers who was asked: a restart changes nothing, and no lease ends while a rig takes a day.
             first = next(iter(rollouts.wanted), None)
             return None if first is None else TrialRequest.of(rollouts.request(first), rollouts.spec)
 

@@ -106,6 +106,7 @@ class ProgramSystem(SystemUnderTest):
             "horizon": float(horizon),
             "options": chosen,
             "worker": {"number": worker.number, "scratch": str(worker.scratch), "port": worker.port},
+            # Samples in a file: it needs no framing, every language writes one, and its size is checked first.
             "path": str(path),
         }
         ticks = iter(range(1, 2**62))
@@ -184,6 +185,7 @@ class ProgramSystem(SystemUnderTest):
         names, step = self._spec.own_columns, self._choice.step
         samples = read_samples(path, self._choice.samples or "csv", names if step is None else names[1:])
         if step is not None:
+            # From the number of the sample, and not added up: a sum of steps drifts from the borders of windows.
             samples = np.column_stack([np.arange(len(samples)) * step, samples])
         try:
             return Trajectory(names, samples)

@@ -115,6 +115,7 @@ class Trials:
 
     def second(self) -> tuple[Trial, ...]:
         """Return the rollouts of the second process: those of the first, once each, in the opposite order."""
+        # In the opposite order: what depends on the rollouts before it differs then.
         return tuple(reversed((*self.fresh(), *self._others())))
 
     def together(self, seconds: float) -> tuple[tuple[Trial, ...], tuple[Trial, ...]]:

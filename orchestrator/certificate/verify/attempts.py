@@ -29,6 +29,7 @@ def check_attempts(directory: Path, certificate: bytes, key: Path | None, checks
     record = AttemptRecord.model_validate_json(text)
     if record.to_json().encode() != text:
         raise CheckFailed(CHECK, f"the bytes of {files.ATTEMPTS} are not those that perfbound writes: it was edited")
+    # Else the record of a campaign without failures could stand beside this certificate.
     if record.subject[0].digest.get("sha256") != sha256_of(certificate):
         raise CheckFailed(CHECK, f"{files.ATTEMPTS} belongs to another certificate")
     wanted = record.predicate

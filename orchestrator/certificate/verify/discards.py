@@ -46,6 +46,7 @@ def check_discard(
         trajectory = admit(ledger.request(rollout), columns, payload, fact.sha256)
     except EvidenceError as fault:
         raise CheckFailed("trajectories", f"{fact.path}: {fault}") from None
+    # Else a rollout with an unwelcome outcome could be discarded.
     if objective_fault(ledger, rollout, trajectory, others) is None:
         raise CheckFailed("observations", f"{fact.path}: was discarded, although the objective can be computed from it")
     return DiscardFact(rollout, ledger.request(rollout).seed, fact.sha256, len(payload), fact.path, fact.reason)

@@ -91,6 +91,7 @@ class Rerun:
         self._store = MemoryFactStore(header)
         self.ties = 0
         """Tests for which this machine chooses another one of equal value."""
+        # The same ledger, no second implementation: two that disagree in the ninth digit prove nothing about tampering.
         self.ledger = Ledger(directory, self._store, files=NullFileStore(), follow=self._follow)
 
     @property

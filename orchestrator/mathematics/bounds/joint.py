@@ -122,6 +122,7 @@ class JointMethod(Method, Generic[Part]):
     def _acquisition(self, pending: Sequence[int]) -> Floats:
         """Return the sum that the next test maximises (m,), in the unit of the J of the lead."""
         lead = self._lead
+        # By turns of the lead alone three requirements took 1.09 in place of 0.95 times the tests of the hardest.
         gains = [
             np.maximum(part.acquisition(pending) - bound.lower, 0.0) / alpha
             for place, (part, bound, alpha) in enumerate(zip(self.parts, self.bounds, self._alphas, strict=True))

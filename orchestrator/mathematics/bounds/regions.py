@@ -130,6 +130,7 @@ def _generations(
         if generation == last or count + 2 * int(is_open.sum()) > max_cells:
             is_open[:] = False
         yield _Generation(cells[~is_open], status[~is_open], sides, axis)
+        # Halves, not 2^p children: few boxes in any dimension, and volumes that are powers of 1/2, with exact sums.
         cells = np.repeat(cells[is_open], 2, axis=0)
         if not len(cells):
             return

@@ -67,6 +67,7 @@ class RiskUpperBound:
         if self._single is None:
             self._single = value
         else:
+            # Disjoint pairs: given the past, the square of an overlapping one has another mean, and W no bound.
             self._squares.add(((value - self._single) / (high - low)) ** 2)
             self._single = None
         self.count += 1
@@ -95,6 +96,7 @@ class _Lower:
     """Lower bound of the mean of values in [0, 1], whose bets follow from the values before."""
 
     def __init__(self, delta: float) -> None:
+        # No imaginary first value: at the end of the range it would make bets on squares, near 0, far too large.
         self._sequence, self._past = BettingSequence((delta,)), Past()
 
     @property

@@ -33,4 +33,5 @@ class SpotWealth:
     @property
     def whole(self) -> float:
         """W."""
+        # Half each: the mean over the starts names one that is bad, the joint bets show many that are a little too bad.
         return (math.fsum(self._own.ravel()) / self._size + math.fsum(self._joint)) / 2.0

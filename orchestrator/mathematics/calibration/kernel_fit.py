@@ -83,6 +83,7 @@ def fit_kernel(nu: float, data: SampledValues) -> KernelFit:
 
     def factored(logs: Floats) -> tuple[Floats, float]:
         gram = kernel.value(np.sqrt(squares @ np.exp(-2.0 * logs[:p])))
+        # No fitted noise for exact values: it would hide kinks and holes.
         gram[np.diag_indices(n)] += math.exp(logs[p]) if len(logs) > p else EXACT_RATIO
         lower = cholesky(gram, lower=True, check_finite=False)
         half = solve_triangular(lower, y, lower=True, check_finite=False)
@@ -95,6 +96,7 @@ def fit_kernel(nu: float, data: SampledValues) -> KernelFit:
             return 1e10  # not reached with these ratios; a search must not end for one point
         return float(0.5 * n * math.log(square) + np.sum(np.log(np.diag(lower))))
 
+    # By likelihood and not by the variogram: a box shorter than the length scale of a function shows no sill.
     logs = _least(loss, p, noisy=not data.exact)
     _, square = factored(logs)
     without = 0.5 * n * math.log(float(y @ y) / n)  # K = 0: all of it is noise

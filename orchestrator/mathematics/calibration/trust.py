@@ -27,6 +27,7 @@ SMOOTHNESS = (2.5, 1.5, 0.5)
 """nu of the kernels that are tried; the last one has finite norms for nearly everything that is continuous."""
 FEWEST = 32
 """Starts below which no trend of the norm is seen."""
+# With a factor 2 for noisy values, B was below the true norm in 3 of 30 functions drawn from Gaussian processes.
 EXACT_MARGIN, NOISY_MARGIN = 1.5, 2.5
 """B over b. A posterior mean needs less norm than what it is the mean of."""
 HIDDEN = 3.0
@@ -98,6 +99,7 @@ def choose_kernel(
         # A fit to noise has no trend; but the values may differ by more than the noise, too fast for any kernel here.
         unseen = tuple(fault for fault in flat.faults if fault in ("unpredicted", "outlier"))
         return Choice((flat,), None if unseen else flat, unseen, plain=True)
+    # By what speaks against a kernel, not by likelihood alone: that takes nu = 2.5 for kinks, whose norm has no limit.
     trusted = [each for each in trials if not each.faults]
     if not trusted:
         return Choice(trials, None, trials[-1].faults)

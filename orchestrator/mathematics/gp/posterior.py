@@ -217,6 +217,7 @@ class Posterior:
 
     def _merge(self) -> Floats:
         """Rebuild the factor with one row per point, and return it; the moments are the same."""
+        # Rebuilt: a downdate for each repeat is of the same order, and an inverse loses digits at a small lambda.
         factor = self._factor(self._regulariser)
         self._triangle = Triangle(factor)
         self._slots, self._weights = list(range(len(self._data.points))), self._data.counts.tolist()

@@ -312,6 +312,7 @@ async function poll(pause = POLL) {
   let next = index.unread ? SOON : POLL;
   if (!document.hidden) {
     try {
+      // Polled: a browser opens six connections to a host, which streams of an index and live pages would use up.
       const answer = await fetch(`campaigns.json?${new URLSearchParams({ seen: index.stamp })}`);
       if (!answer.ok) throw new Error(answer.status);
       if (answer.status === 200) takeChanges(await answer.json());

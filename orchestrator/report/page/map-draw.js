@@ -64,6 +64,7 @@ function drawRegion(context, box, edges, columns, rows) {
     border.lineTo(toX(nextI), toY(nextJ));
     const [x, y] = [(toX(i) + toX(nextI)) / 2, (toY(j) + toY(nextJ)) / 2];
     border.moveTo(x, y);
+    // Ticks to one side: hatching and shading change the colours, and of dashes nobody sees which side is meant.
     border.lineTo(x + TICK * inI, y - TICK * inJ);
   }
   context.save();

@@ -40,6 +40,7 @@ function parallelModel(view, width) {
   const names = Math.min(width * COLUMN.share, COLUMN.most, Math.max(...axes.map((axis) => measured(short(axis.name) + unitOf(axis)))));
   const left = names + COLUMN.number + COLUMN.gap;
   const box = { left, top: ROW.top + step / 2, width: Math.max(60, width - left - COLUMN.number), height: step * (axes.length - 1) };
+  // Axes below one another: names of 30 characters stand beside them, and a hundred parameters scroll.
   const rows = axes.map(({ low, high }, k) => ({ ...frame(box, [low, high], [0, 1]), y: box.top + k * step }));
   const dots = marked(view, drawnStarts(view)).map((dot) => ({ ...dot, path: dot.x.map((value, k) => [rows[k].toX(value), rows[k].y]) }));
   const model = { ...view, axes, box, step, names, dots, height: box.top + box.height + step / 2 + ROW.bottom };
@@ -60,6 +61,7 @@ function choiceOfStarts(report, problem) {
   const rank = new Map(worstFirst(report, problem).map((row, position) => [row, position]));
   const position = ({ rows }) => rank.get(rows[0]) ?? Infinity; // a test without a value comes last
   const starts = [...dotsOf(report, problem)].sort((a, b) => position(a) - position(b));
+  // Thousands of lines, however transparent, are one grey block.
   if (starts.length <= MOST_LINES) return starts;
   const half = MOST_LINES / 2;
   const others = starts.length - half;

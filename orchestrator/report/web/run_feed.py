@@ -31,5 +31,6 @@ class RunFeed:
         It has nothing to send before its first turn, while it reads the database, and after its last one, while the
         certificate is made; if the orchestrator dies then, the feed ends, and the page with it.
         """
+        # A kill while a large database is replayed, or a certificate is made, would be repeated without end.
         last = self._last
         return last is not None and not last[0].done and time.monotonic() - last[1] > seconds

@@ -19,7 +19,9 @@ from perfbound.orchestrator.cli.group import cli
 from perfbound.workers.cli import serve
 
 ROOT = Path(__file__).parents[3]
-PAGES = sorted([*(ROOT / "docs").rglob("*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md"])
+PAGES = sorted(
+    [*(ROOT / "docs").rglob("*.md"), *(ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "DECISIONS"))]
+)
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 LINK = re.compile(r"\]\(([^)#:]+)(?:#[^)]*)?\)")
 LOADED = re.compile(r"<(?:script|img|iframe|link)[^>]* (?:src|href)=[\"']?(?:https?:)?//")
