@@ -340,7 +340,6 @@ def _served(
             line = ["perfbound-worker", *line, *link.options_elsewhere(), *child.system_options(options.system)]
             console.print(Text(f"waiting for workers: {shlex.join(line)}"), soft_wrap=True)
         # The numerics take seconds to load: only now, while the workers start.
-        from ..campaign import closing_checks, consistency, forecast, scope  # noqa: PLC0415
         from ..campaign.ledger import Ledger  # noqa: PLC0415
         from .contradictions import Contradictions  # noqa: PLC0415
         from .progress import SystemdStatus, listener  # noqa: PLC0415
@@ -351,17 +350,16 @@ def _served(
         ledger = Ledger(directory, journal)
         ledger.replay()
         damaged = ledger.check_files(journal, whole=ledger.done) if resumed else 0
-        if not ledger.done or any(doubted(journal)):
+        if ledger.done and not any(doubted(journal)):
+            console.print(
+                Text("every test is done; computing the claims, their audit and the certificate"), soft_wrap=True
+            )
+            stack.close()  # its workers end now: they would only report that they wait for an orchestrator
+        else:
             terminal = stack.enter_context(listener(console))
             if damaged:
                 terminal.print_line(f"{damaged} trajectory files are missing or damaged: simulating them again")
-            plans = ledger.plans
-            extended = {name: replace(each, budget=ledger.accounts[name].budget) for name, each in plans.items()}
-            for sentence in (
-                *(() if resumed else (*scope.scope(plans), *closing_checks.cost(ledger.header, plans))),
-                *forecast.warnings(extended),
-                *consistency.before(plans, ledger.header.spec),
-            ):
+            for sentence in _beforehand(ledger, resumed=resumed):
                 terminal.print_line(sentence)
             contradictions = Contradictions(ledger.accounts, ledger.methods, terminal.print_line)
             requests = StopRequests(directory, terminal.print_line)
@@ -379,6 +377,19 @@ def _served(
                 service.run()
             report_end = service.report_end
     return ledger, report_end
+
+
+def _beforehand(ledger: "Ledger", *, resumed: bool) -> Iterator[str]:
+    """Yield what is known of a campaign before its next test: its scope and cost, and what will not come out."""
+    from ..campaign import closing_checks, consistency, forecast, scope  # noqa: PLC0415
+
+    plans = ledger.plans
+    if not resumed:
+        yield from scope.scope(plans)
+        yield from closing_checks.cost(ledger.header, plans)
+    budgets = {name: replace(each, budget=ledger.accounts[name].budget) for name, each in plans.items()}
+    yield from forecast.warnings(budgets)
+    yield from consistency.before(plans, ledger.header.spec)
 
 
 def _report_left(fleet: Fleet, console: Console) -> None:

@@ -100,6 +100,7 @@ def changed(old: str, new: str) -> str:
 # Faults of the file alone: key and allowed values
 
 
+@pytest.mark.journey
 @pytest.mark.parametrize(
     ("old", "new", "key", "allowed"),
     [
@@ -144,6 +145,7 @@ def test_a_wrong_key_is_named_with_what_is_allowed(here: Here, old: str, new: st
     assert allowed in fault
 
 
+@pytest.mark.journey
 @pytest.mark.parametrize(
     ("data", "reason"),
     [
@@ -163,6 +165,7 @@ def test_a_file_that_is_no_campaign(here: Here, data: bytes, reason: str) -> Non
     assert reason in here.run_file(data)
 
 
+@pytest.mark.journey
 @pytest.mark.usefixtures("asked")
 def test_every_fault_of_a_file_is_a_line_of_its_own(here: Here) -> None:
     file = here.folder / "c.toml"

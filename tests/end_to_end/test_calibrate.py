@@ -60,6 +60,7 @@ def certified(folder: Processes, name: str) -> Certificate:
     return Certificate.model_validate_json((folder.folder / f"runs-{name}" / "certificate.json").read_bytes())
 
 
+@pytest.mark.journey
 def test_a_smooth_function_gets_constants_that_are_not_refuted(folder: Processes) -> None:
     ended = folder.run("perfbound", "calibrate", "smooth.toml")
     assert (ended.code, ended.err) == (0, ""), ended.err

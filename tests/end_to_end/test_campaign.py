@@ -60,6 +60,7 @@ def gone(directory: Path) -> bool:
 # The calm run
 
 
+@pytest.mark.journey
 @pytest.mark.smoke
 def test_every_rollout_has_its_file_and_two_workers_served_them(calm: Path) -> None:
     rows = query(calm, "SELECT path, sha256 FROM rollouts")
@@ -87,6 +88,7 @@ def test_the_manifest_is_checked_by_sha256sum(calm: Path) -> None:
     assert checked.stdout.count(": OK\n") == ROLLOUTS
 
 
+@pytest.mark.journey
 @pytest.mark.parametrize("workers", ["1", "3"])
 def test_the_number_of_workers_changes_no_byte(started: Processes, directory: Path, calm: Path, workers: str) -> None:
     ended = start(started, "--workers", workers).wait()
@@ -105,6 +107,7 @@ def sessions(directory: Path) -> int:
     return int(str(query(directory, "SELECT count(*) FROM sessions")[0][0]))
 
 
+@pytest.mark.journey
 @pytest.mark.smoke
 def test_an_orchestrator_killed_again_and_again(started: Processes, directory: Path, calm: Path) -> None:
     chance = random.Random(7)
@@ -340,6 +343,7 @@ def test_a_signal_before_anything_is_made(started: Processes) -> None:
     assert not (started.folder / "run").exists()
 
 
+@pytest.mark.journey
 def test_status_while_it_runs_when_stopped_and_at_the_end(started: Processes, directory: Path, calm: Path) -> None:
     campaign = write_campaign(started.folder / "c.toml")
     process = started.start("perfbound", "run", campaign, "--out", "run")
@@ -439,6 +443,7 @@ def test_mutual_tls_keeps_strangers_out(
     assert finished(directory, calm)
 
 
+@pytest.mark.journey
 def test_local_workers_over_mutual_tls(
     started: Processes, directory: Path, calm: Path, certificates: Callable[..., list[str]]
 ) -> None:
@@ -508,6 +513,7 @@ def test_processes_of_one_user_meet_and_others_are_refused(started: Processes, d
 # Without a campaign
 
 
+@pytest.mark.journey
 def test_one_rollout_has_equal_bytes_for_equal_seeds(started: Processes) -> None:
     options = ["--x", "5,0", "--variant", "true", "--horizon", "2"]
     for name, seed in (("a", "3"), ("b", "3"), ("c", "4")):

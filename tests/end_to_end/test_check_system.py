@@ -92,6 +92,7 @@ def test_a_planted_fault_is_found_with_its_remedy(started: Processes, name: str)
     assert {check for check, each in found.items() if each["status"] != "passed"} <= {fault.check, *fault.others}
 
 
+@pytest.mark.journey
 @pytest.mark.parametrize(
     ("reference", "options"),
     [

@@ -5,11 +5,14 @@ import shlex
 import shutil
 from pathlib import Path
 
+import pytest
+
 from tests.end_to_end.processes import processes
 
 EXAMPLE = Path(__file__).parents[2] / "deploy" / "examples" / "cars"
 
 
+@pytest.mark.journey
 def test_a_counterexample_is_found_verified_and_repeated_by_the_printed_command(tmp_path: Path) -> None:
     shutil.copy(EXAMPLE / "cars.py", tmp_path)
     campaign, run = tmp_path / "cars.toml", tmp_path / "run"

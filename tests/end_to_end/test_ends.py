@@ -102,6 +102,7 @@ def finish(started: Processes, orchestrator: Process, endpoint: str, tests: int 
     assert recorded(started.folder / "run") == tests
 
 
+@pytest.mark.journey
 def test_workers_end_with_the_campaign(started: Processes, slow: Slow) -> None:
     orchestrator, endpoint = slow("0.1 steps")
     workers = [worker(started, endpoint, "--until-done") for _ in range(2)]

@@ -106,6 +106,7 @@ def test_the_written_file_runs_to_a_certificate(
     assert claims[0].quantity == quantity
 
 
+@pytest.mark.journey
 def test_the_proposed_constants_are_not_refuted_and_prove_something(folder: Processes, tmp_path: Path) -> None:
     file = tmp_path / "c.toml"
     wish = ("--specification", "always[0,12] (distance >= 2)", "--horizon", "12", "--out", file)
@@ -188,6 +189,7 @@ def test_a_question_that_needs_longer_rollouts_is_refused(folder: Processes, tmp
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.journey
 def test_function_and_campaign_file_take_few_lines(folder: Processes, tmp_path: Path) -> None:
     code = """import numpy as np
 import perfbound as pb

@@ -14,6 +14,7 @@ METHODS = ("paper", "rigorous", "kriging", "scenario", "sample")
 CHECKS = 20
 
 
+@pytest.mark.journey
 @pytest.mark.parametrize("name", METHODS)
 def test_a_finished_campaign_verifies(started: Processes, name: str) -> None:
     directory = Path(shutil.copytree(FINISHED / name, started.folder / name))

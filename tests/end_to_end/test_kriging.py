@@ -22,6 +22,7 @@ def ended(folder: Path) -> Ended:
         return run_page(started, folder, PAGE)
 
 
+@pytest.mark.journey
 def test_the_file_of_the_page_gives_the_claim_of_the_page(started: Processes, folder: Path, ended: Ended) -> None:
     check_claim(started, folder, PAGE, ended)
 

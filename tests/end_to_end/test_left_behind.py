@@ -71,6 +71,7 @@ def ended(text: str) -> int:
     return int(re.findall(r"^(\d+) processes that rollouts had started were still there", text, re.MULTILINE)[0])
 
 
+@pytest.mark.journey
 def test_they_end_with_the_campaign_and_are_counted(started: Processes, folder: Path, left: Left) -> None:
     found = started.run("perfbound", "run", "c.toml", "--workers", "2", "--out", "run")
     assert found.code == 0, found.err

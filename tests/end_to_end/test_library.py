@@ -92,6 +92,7 @@ def test_the_notebook_runs(started: Processes, tmp_path: Path) -> None:
     assert "Traceback" not in ended.err
 
 
+@pytest.mark.journey
 def test_a_script_a_saved_file_and_a_killed_study_give_one_certificate(started: Processes, tmp_path: Path) -> None:
     shutil.copy(EXAMPLES / "cars" / "cars.py", tmp_path)
     saved = script(started, "c = pb.Campaign('cars.py:cars', **KEYS); c.save('c.toml'); c.run('run', workers=1)").wait()

@@ -155,6 +155,7 @@ def test_a_port_that_is_taken_is_said_before_anything_is_started(started: Proces
     assert "is not HOST:PORT" in ended.err
 
 
+@pytest.mark.journey
 def test_the_page_of_a_finished_campaign(started: Processes, pageless: Path, browser: Browser) -> None:
     before = contents(pageless)
     process = started.start("perfbound", "web", pageless)

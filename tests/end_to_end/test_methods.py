@@ -48,6 +48,7 @@ def test_workers_and_kills_change_no_byte(started: Processes, tmp_path: Path, so
     assert (directory / "certificate.json").read_bytes() == (tmp_path / "calm" / "certificate.json").read_bytes()
 
 
+@pytest.mark.journey
 def test_strict_exits_with_3_when_the_first_claim_rests_on_a_refuted_assumption(started: Processes, calm: Path) -> None:
     assert started.run("perfbound", "resume", calm).code == 0
     assert started.run("perfbound", "resume", calm, "--strict").code == 3

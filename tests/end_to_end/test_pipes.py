@@ -3,6 +3,8 @@
 import subprocess
 from pathlib import Path
 
+import pytest
+
 from tests.campaigns import with_few_checks
 from tests.end_to_end.processes import BIN, Ended, contents
 from tests.patience import PATIENCE
@@ -17,6 +19,7 @@ def piped(folder: Path, line: str) -> Ended:
     return Ended(ended.returncode, ended.stdout, ended.stderr)
 
 
+@pytest.mark.journey
 def test_a_run_without_a_reader_ends_with_all_its_files(tmp_path: Path) -> None:
     with_few_checks(tmp_path / "c.toml", "test-function")
     for name, line, code in (

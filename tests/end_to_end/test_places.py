@@ -205,6 +205,7 @@ def takes(taken: list[subprocess.Popen[str]], folder: Path, then: str = "sys.std
     return int(number), Path(scratch), int(port)
 
 
+@pytest.mark.journey
 def test_no_live_process_shares_its_place_and_a_killed_one_leaves_it(
     taken: list[subprocess.Popen[str]], tmp_path: Path
 ) -> None:

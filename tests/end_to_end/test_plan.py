@@ -109,6 +109,7 @@ def test_drawn_starts_are_counted_by_the_file(started: Processes) -> None:
     assert found["pilot"]["rollouts"] == 10
 
 
+@pytest.mark.journey
 def test_the_table_is_for_people(started: Processes) -> None:
     ended = started.run("perfbound", "plan", FOLDER / "test-function.toml", "--workers", "3")
     assert ended.code == 0

@@ -48,6 +48,7 @@ def test_the_output_is_that_of_the_docs(ended: Ended) -> None:
     assert len(CAMPAIGN.splitlines()) <= 12
 
 
+@pytest.mark.journey
 @pytest.mark.usefixtures("ended")
 def test_every_certified_box_is_right(folder: Path) -> None:
     """The corners of the boxes, against the closed form of the least distance."""

@@ -3,12 +3,15 @@
 import shutil
 from pathlib import Path
 
+import pytest
+
 from tests.end_to_end.processes import Processes, contents
 
 ROLLOUT = "sim_gap.3.true.0"
 FILE = f"trajectories/sim_gap/0/{ROLLOUT}.mcap"
 
 
+@pytest.mark.journey
 def test_a_rollout_is_simulated_again(started: Processes, calm: Path, tmp_path: Path) -> None:
     before = contents(calm)
     for name in ("one", "two"):

@@ -23,6 +23,7 @@ def page_data(directory: Path) -> Any:
     return json.loads(found[1])
 
 
+@pytest.mark.journey
 def test_a_run_ends_with_its_report(calm: Path, started: Processes) -> None:
     certificate = json.loads((calm / "certificate.json").read_text())["predicate"]
     found = page_data(calm)

@@ -98,6 +98,7 @@ def files_without_facts(directory: Path) -> None:
     shutil.copy(next(directory.rglob("*.mcap")), folder / "nominal_robustness.7.nominal.9.mcap")
 
 
+@pytest.mark.journey
 @pytest.mark.parametrize("damage", [last_transaction, no_shared_memory, newest_files, files_without_facts])
 def test_what_a_power_cut_leaves(started: Processes, killed: Path, calm: Path, damage: Callable[[Path], None]) -> None:
     damage(killed)
@@ -127,3 +128,18 @@ def test_a_database_of_another_schema_version_is_refused(started: Processes, kil
         assert ended.code == 1
         numbers = f"schema version {SCHEMA_VERSION + 1}, this perfbound reads {SCHEMA_VERSION}"
         assert f"{numbers}; use the perfbound that wrote it" in ended.fault
+
+
+@pytest.mark.journey
+def test_without_its_certificate_a_campaign_says_what_it_computes(
+    started: Processes, calm: Path, tmp_path: Path
+) -> None:
+    """As after a kill between the last test and the certificate: no worker is needed, and none waits for anything."""
+    directory = Path(shutil.copytree(calm, tmp_path / "run"))
+    before = (directory / "certificate.json").read_bytes()
+    (directory / "certificate.json").unlink()
+    resumed = started.run("perfbound", "resume", directory)
+    assert resumed.code == 0, resumed.err
+    assert "every test is done; computing the claims, their audit and the certificate" in resumed.err
+    assert "waiting" not in resumed.err
+    assert (directory / "certificate.json").read_bytes() == before

@@ -36,6 +36,7 @@ def ended(folder: Path, path: str) -> Ended:
         return found.run("perfbound", "run", folder / "c.toml", "--out", folder / "run", PYTHONPATH=path)
 
 
+@pytest.mark.journey
 def test_the_claim_is_about_every_start_and_certain(ended: Ended) -> None:
     assert ended.code == 0, ended.err
     assert CLAIM in ended.out

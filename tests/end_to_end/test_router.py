@@ -11,6 +11,7 @@ from tests.fakes.certificates import DAY, Site
 from tests.sharing import free_port
 
 
+@pytest.mark.journey
 def test_two_campaigns_share_a_router_and_its_workers(started: Processes) -> None:
     folder = started.folder
     campaign = with_few_checks(folder / "c.toml", "test-function")

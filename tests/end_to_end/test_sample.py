@@ -3,12 +3,15 @@
 import re
 from pathlib import Path
 
+import pytest
+
 from tests.end_to_end.pages import PAGES, check_claim, claims_after_a_kill, run_page, write
 from tests.end_to_end.processes import Processes
 
 PAGE = (PAGES / "failure-probability.md").read_text()
 
 
+@pytest.mark.journey
 def test_the_file_of_the_page_gives_the_claim_of_the_page(started: Processes, tmp_path: Path) -> None:
     check_claim(started, tmp_path, PAGE, run_page(started, tmp_path, PAGE))
 

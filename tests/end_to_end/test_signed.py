@@ -34,6 +34,7 @@ def signers(directory: Path, folder: Path) -> str:
     return found
 
 
+@pytest.mark.journey
 def test_a_run_signs_and_others_may_sign_after_it(here: Processes) -> None:
     campaign, directory = with_few_checks(here.folder / "c.toml", "test-function"), here.folder / "run"
     ended = here.run("perfbound", "run", campaign, "--out", directory, "--sign", "a.key")

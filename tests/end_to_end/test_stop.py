@@ -82,6 +82,7 @@ def whole(started: Processes) -> bytes:
     return (started.folder / "calm" / "certificate.json").read_bytes()
 
 
+@pytest.mark.journey
 def test_a_run_is_stopped_and_resumed_and_another_one_stays(slow: Processes) -> None:
     directory = slow.folder / "run"
     other = slow.start("perfbound", "run", "slow.toml", "--out", "other")

@@ -44,6 +44,7 @@ def good(folder: Path) -> Ended:
         return found.run("perfbound", "run", folder / "good.toml", "--out", folder / "good", "--on-finish", gate)
 
 
+@pytest.mark.journey
 def test_the_end_of_a_run_fits_one_screen(good: Ended) -> None:
     assert good.code == 0, good.err
     lines = good.out.splitlines()
@@ -58,6 +59,7 @@ def test_a_command_gets_the_verdict_and_its_failure_changes_nothing(good: Ended)
     assert "exit code 7; the certificate stands" in good.err
 
 
+@pytest.mark.journey
 def test_show_prints_everything_and_the_assumptions_on_request(started: Processes, folder: Path, good: Ended) -> None:
     assert good.code == 0
     short = started.run("perfbound", "show", folder / "good")

@@ -14,6 +14,7 @@ def copy(calm: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(calm, tmp_path / "run"))
 
 
+@pytest.mark.journey
 def test_a_real_campaign_with_random_rollouts_simulated_again(started: Processes, copy: Path) -> None:
     ended = started.run("perfbound", "verify", copy, "--resimulate", "4")
     assert ended.code == 0, ended.out + ended.err
@@ -37,6 +38,7 @@ def test_a_damaged_one_says_where_and_exits_with_1(started: Processes, copy: Pat
     assert checks["audit"]["status"] == "skipped"
 
 
+@pytest.mark.journey
 def test_signed_and_verified_with_the_public_key(started: Processes, copy: Path, tmp_path: Path) -> None:
     for name in ("ours", "theirs"):
         assert started.run("perfbound", "keygen", name, "--out", tmp_path).code == 0

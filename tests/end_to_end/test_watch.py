@@ -96,6 +96,7 @@ def answers(url: str, headers: Mapping[str, str] = NOTHING) -> bool:
         return False
 
 
+@pytest.mark.journey
 def test_a_campaign_is_scraped_while_it_runs_and_no_worker_sees_the_token(started: Processes) -> None:
     directory, address = started.folder / "run", f"127.0.0.1:{free_port()}"
     url, campaign = f"http://{address}/", write(started.folder, CURIOUS)
