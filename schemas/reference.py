@@ -59,7 +59,7 @@ TABLES: tuple[tuple[str, str, type[BaseModel]], ...] = (
         'One entry per parameter of the system: `x = [0, 5]`, in full `x = { low = 0.0, high = 5.0, unit = "m" }`, or '
         'with a distribution `x = { low = 0, high = 5, distribution = "normal", mean = 2, sd = 1 }`, or as an input '
         'over time `u = { signal = "pchip", knots = 5, low = 0, high = 1 }`. Beside them `where = "x^2 + y^2 <= 25"`. '
-        "[Starting conditions](how-to/space.md) shows each form.",
+        "[Starting conditions](own-system.md#starting-conditions) shows each form.",
         Range,
     ),
     ("[space], scenarios", "Instead of ranges: `scenarios = [[0.5, 0.5], [1.5, 0.5]]`.", Scenarios),
@@ -68,15 +68,15 @@ TABLES: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("[[problems]], method rigorous", "", RigorousProblem),
     (
         "[[problems]], method kriging",
-        "At most three parameters. All `max_tests` tests are made. [Bound a box from bounded rollouts]"
-        "(how-to/kriging.md) has an example.",
+        "At most three parameters. All `max_tests` tests are made. [Noisy rollouts]"
+        "(questions.md#noisy-rollouts-method-kriging) has an example.",
         KrigingProblem,
     ),
     ("[[problems]], method scenario", "`resolution` and `gap` have no effect with this method.", ScenarioProblem),
     (
         "[[problems]], method sample",
         "Starts that are drawn from the distribution under `[space]`; `max_tests` is the number of samples. "
-        "[Bound how often it fails](how-to/failure-probability.md) has examples.",
+        "[How often it fails](questions.md#how-often-does-it-fail-and-how-bad-is-the-worst-hundredth) has an example.",
         SampleProblem,
     ),
     ("[[claims]]", "What method `sample` claims, the answer to the question of the file first.", ClaimRequest),
@@ -92,7 +92,11 @@ TABLES: tuple[tuple[str, str, type[BaseModel]], ...] = (
         '`gap = { formula = "always (distance >= 2)", id = "REQ-7" }`.',
         Requirement,
     ),
-    ("[falsify]", "`falsify = {}` takes the default. [Counterexamples](how-to/counterexample.md) shows it.", Falsify),
+    (
+        "[falsify]",
+        "`falsify = {}` takes the default. [Counterexamples](questions.md#is-there-a-start-that-fails) shows it.",
+        Falsify,
+    ),
     ("kernel", "", MaternKernel),
     ("gap", "", Gap),
     ("linearised", "", Linearised),

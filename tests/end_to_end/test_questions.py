@@ -10,39 +10,24 @@ import pytest
 from perfbound.orchestrator.campaign.first_file import MOST_KEYS, key_lines
 from perfbound.orchestrator.campaign.questions import QUESTIONS
 from perfbound.schemas.certificate import Certificate
+from tests.end_to_end.pages import EXAMPLES, PAGE
 from tests.end_to_end.processes import Processes
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "questions.md").read_text()
-EXAMPLE = re.compile(
-    r"`([a-z]+\.toml)`:\n\n```toml\n(.*?)```\n\n    perfbound run ([a-z.]+)\n\n```text\n(.*?)```", re.DOTALL
-)
-EXAMPLES = EXAMPLE.findall(PAGE)
-HEAD = re.compile(r"^(?:CLAIM|also|COUNTEREXAMPLE)  .*$", re.MULTILINE)
+ELSEWHERE = {"box.toml", "often.toml", "requirements.toml", "each.toml"}
+"""Files of the page that `test_kriging` and `test_sample` run."""
 
 
 def test_every_file_of_the_page_is_an_example() -> None:
-    assert len(EXAMPLES) == PAGE.count("```toml") == 6
+    assert len(EXAMPLES) == PAGE.count("```toml") == 8
+    for name, example in EXAMPLES.items():
+        assert example.command == name
+        assert key_lines(example.file) <= MOST_KEYS
 
 
-@pytest.mark.parametrize("example", EXAMPLES, ids=[each[0] for each in EXAMPLES])
-def test_a_file_of_the_page_gives_the_claims_of_the_page(
-    started: Processes, tmp_path: Path, example: tuple[str, str, str, str]
-) -> None:
-    name, file, command, printed = example
-    shutil.copytree(ROOT / "deploy" / "examples" / "cars", tmp_path, dirs_exist_ok=True)
-    assert key_lines(file) <= MOST_KEYS
-    assert command == name
-    (tmp_path / name).write_text(file)
-    found = started.run("perfbound", "run", tmp_path / name, "--out", tmp_path / "run")
-    assert found.code == 0, found.err
-    claims = HEAD.findall(printed)
-    assert claims
-    # The first lines of a claim, to the last digit; all other lines of the page as well.
-    assert [each for each in HEAD.findall(found.out) if each in claims] == claims
-    # But for the command that repeats a rollout, which names the run directory.
-    lines = [line for line in printed.splitlines() if "perfbound replay" not in line]
-    assert [line for line in lines if line not in found.out.splitlines()] == []
+@pytest.mark.parametrize("name", sorted(EXAMPLES.keys() - ELSEWHERE))
+def test_a_file_of_the_page_gives_the_claims_of_the_page(started: Processes, tmp_path: Path, name: str) -> None:
+    EXAMPLES[name].check(EXAMPLES[name].run(started, tmp_path))
 
 
 # The files of `perfbound init`

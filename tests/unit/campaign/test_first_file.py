@@ -300,4 +300,4 @@ def test_help_and_error_name_every_question() -> None:
 
 
 def test_the_docs_have_the_table_of_the_questions() -> None:
-    assert docs_table() in (Path(__file__).parents[3] / "docs" / "own-system.md").read_text()
+    assert docs_table() in (Path(__file__).parents[3] / "docs" / "questions.md").read_text()

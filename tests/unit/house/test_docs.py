@@ -114,4 +114,4 @@ def test_the_site_builds_is_searchable_and_loads_nothing_from_outside(tmp_path: 
         ).read_text()
         assert not LOADED.search(html), name
     found = {entry["location"] for entry in json.loads((tmp_path / "search/search_index.json").read_text())["docs"]}
-    assert {"tutorial.html", "api.html#perfbound.systems.SystemUnderTest.rollout"} <= found
+    assert {"tutorial.html", "library.html#perfbound.systems.SystemUnderTest.rollout"} <= found
