@@ -270,25 +270,6 @@ def _trajectory_file(request: str) -> bytes:
         fail(fault_text(error))
 
 
-@group.command("visual")
-@system_option
-@click.option("--file", "path", type=click.Path(dir_okay=False, path_type=Path), required=True, help="MCAP file.")
-def print_visual(path: Path) -> None:
-    """Print the visual part of a trajectory as JSON: the scene and the moving frames, or null."""
-    from ..schemas.outside import read_outside  # noqa: PLC0415
-    from ..schemas.ranges import MAX_FILE_BYTES  # noqa: PLC0415
-    from .visual_json import visual_json  # noqa: PLC0415
-
-    try:
-        with contextlib.redirect_stdout(sys.stderr):  # the output of a plug-in must not mix with the data
-            found = visual_json(read_outside(path, MAX_FILE_BYTES))
-    except OSError as error:
-        fail(f"{path}: {error.strerror}")
-    except PerfboundError as error:
-        fail(f"{path}: {error}")
-    answer(canonical_json(found))
-
-
 @group.command(hidden=True)
 @watched_system_option
 @click.option("--answers", type=int, required=True, help="Pipe for the measurements, a line of JSON each.")

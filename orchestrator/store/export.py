@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
-from typing import IO, Literal
+from typing import IO, TYPE_CHECKING, Any, Literal
 
 from sqlalchemy import Connection
 
@@ -20,7 +20,10 @@ from .files import FOLDER
 from .read import read_header, reading
 from .rows import DATABASE
 
-__all__ = ["TABLES", "counterexamples", "export", "stream", "table_rows"]
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["TABLES", "counterexamples", "export", "stream", "table_array", "table_rows"]
 
 Format = Literal["csv", "parquet"]
 DEFAULT = "export"
@@ -71,6 +74,28 @@ def table_rows(directory: Path, name: str) -> tuple[tuple[ExportColumn, ...], li
     """Return the columns of one table, and all its rows. Raises as `export`."""
     with _open_campaign(directory, [name]) as (connection, _, (table,)):
         return table.columns, list(table.rows(connection))
+
+
+def table_array(directory: Path, name: str) -> "NDArray[Any]":
+    """Return one table as an array (rows,) with a field for each column. Raises as `export`.
+
+    A missing number is NaN, a missing text None; a column of whole numbers that lacks one is float64. The title of a
+    field is the column's in a CSV file, with its unit: `array["x (m)"]` is `array["x"]`.
+    """
+    import numpy as np  # noqa: PLC0415  (late: `perfbound export` writes files without it)
+
+    columns, found = table_rows(directory, name)
+    types = {"text": "O", "integer": "i8", "number": "f8"}
+    lack = {
+        k for k, each in enumerate(columns) if each.kind == "integer" and any(values[k] is None for values in found)
+    }
+    fields: Any = {
+        "names": [each.name for each in columns],
+        "formats": ["f8" if k in lack else types[each.kind] for k, each in enumerate(columns)],
+        "titles": [_column_title(each) if each.unit else None for each in columns],
+    }
+    row: np.dtype[Any] = np.dtype(fields)
+    return np.array(found, dtype=row)
 
 
 def counterexamples(directory: Path, path: Path) -> int:

@@ -5,7 +5,7 @@ import io
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,7 +31,6 @@ from ..schemas.verdict import CampaignVerdict
 from .forked import Forked
 from .given import GivenSystem, given_system
 from .process import interruptible, output, reproducible
-from .tables import Table
 
 if TYPE_CHECKING:
     from ..orchestrator.certificate.verify.run import Verification
@@ -105,12 +104,12 @@ class Run(_Shown):
         return verdict_of(self.directory, self.header, places.finished_certificate(self.directory))
 
     @property
-    def tests(self) -> Table:
+    def tests(self) -> NDArray[Any]:
         """A row for each test of a problem: its start, its observation, and the bounds after it."""
         return _of_series(self.table("tests"), closing=False)
 
     @property
-    def closing_checks(self) -> Table:
+    def closing_checks(self) -> NDArray[Any]:
         """A row for each test of the closing checks, as in `tests`.
 
         `problem` is `spot_check`, `risk_check`, `shrink` or `recheck`; after an extension `spot_check_b` and so on.
@@ -118,20 +117,23 @@ class Run(_Shown):
         return _of_series(self.table("tests"), closing=True)
 
     @property
-    def rollouts(self) -> Table:
+    def rollouts(self) -> NDArray[Any]:
         """A row for each rollout: its id, seed, start, robustness, file and worker."""
         return self.table("rollouts")
 
-    def table(self, name: str) -> Table:
+    def table(self, name: str) -> NDArray[Any]:
         """Return a table that `perfbound export` has: also observations, counterexamples and failures.
+
+        `table["x"]` is a column, `table[3]` a row, `pandas.DataFrame(table)` the same in pandas. A missing number is
+        NaN, a missing text None. Fields have the titles of a CSV file, with the unit: "x (m)".
 
         Raises:
             PerfboundError: there is no such table, or the campaign cannot be read.
 
         """
-        return Table.of(*export.table_rows(self.directory, name))
+        return export.table_array(self.directory, name)
 
-    def trajectory(self, rollout: int | str) -> Trajectory:
+    def trajectory(self, rollout: int | np.integer[Any] | str) -> Trajectory:
         """Return the trajectory of a rollout by its id, "robustness.7.nominal.0", or the first one of a test.
 
         A number is that of a test of the first problem.
@@ -143,7 +145,7 @@ class Run(_Shown):
         from ..orchestrator.campaign.plan import plans  # noqa: PLC0415
         from ..orchestrator.report.replay.load import load_recorded  # noqa: PLC0415
 
-        if isinstance(rollout, int):
+        if not isinstance(rollout, str):
             name, plan = next(iter(plans(self.header.config, self.header.spec).items()))
             variant, replicate = plan.rollouts[0]
             rollout = f"{name}.{rollout}.{variant}.{replicate}"
@@ -209,9 +211,10 @@ class Run(_Shown):
         return open_study(self.directory)
 
 
-def _of_series(tests: Table, *, closing: bool) -> Table:
+def _of_series(tests: NDArray[Any], *, closing: bool) -> NDArray[Any]:
     """Return the tests of the closing checks, or those of the problems."""
-    return tests.only(np.array([(closing_check(str(name)) is not None) == closing for name in tests["problem"]]))
+    wanted = [(closing_check(str(name)) is not None) == closing for name in tests["problem"]]
+    return np.asarray(tests[np.array(wanted, dtype=bool)])
 
 
 def open_run(directory: str | Path) -> Run:

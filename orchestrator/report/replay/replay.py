@@ -1,24 +1,21 @@
 """The replay of a recorded rollout: simulated in a child of `workers`, compared with its file, and drawn."""
 
 import hashlib
-import json
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from ....schemas import atomic
 from ....schemas.errors import PerfboundError, TrajectoryError
-from ....schemas.trajectory import Trajectory, decode
-from ...fleet.child import ask, system_options
+from ....schemas.trajectory import Floats, Trajectory, decode
 from ...fleet.simulate import simulate_to
+from ...mathematics.stl.over_time import robustness_signal
+from ...mathematics.stl.tree import Formula
 from .. import curves
 from .comparison import Deviation, compare, lines
 from .load import RecordedRollout, load_recorded
-from .moments import margins, moments
-from .solids import film
-
-MOMENTS = 8
-"""Pictures on a strip."""
 
 
 def replay_rollout(
@@ -62,7 +59,7 @@ def replay_rollout(
             atomic.write_whole(mcap.absolute(), data)
             yield f"file: {mcap}"
         if out is not None:
-            atomic.write_whole(out.absolute(), _picture(found, again, path, system))
+            atomic.write_whole(out.absolute(), _picture(found, again))
             yield f"picture: {out}"
     if fault:
         raise PerfboundError(f"{found.fact.rollout}: {fault}")
@@ -110,18 +107,17 @@ def _fault(found: RecordedRollout, deviation: Deviation) -> str:
     )
 
 
-def _picture(found: RecordedRollout, again: Trajectory, path: Path, system: str | None) -> bytes:
-    """Return the PNG of a rollout whose file is at `path`."""
+def _picture(found: RecordedRollout, again: Trajectory) -> bytes:
+    """Return the PNG of a rollout."""
     from . import picture  # noqa: PLC0415  (late: matplotlib takes a second to load)
 
-    header, clip = found.header, found.header.config.clip
+    header = found.header
     problems = header.config.problems
     # A closing check has no columns of its own: those of the first problem.
     problem = next((each for each in problems if each.name == found.fact.rollout.problem), problems[0])
     columns = curves.relevant_columns(header, problem) or again.columns[1:2]
     limits = curves.limits(header, columns)
     margin = margins(curves.formula(header), again)
-    visual = json.loads(ask("visual", "--file", str(path), *system_options(system)))
     return picture.drawn(
         picture.Picture(
             title=_title_line(found),
@@ -133,8 +129,17 @@ def _picture(found: RecordedRollout, again: Trajectory, path: Path, system: str 
                 )
                 for name in columns
             ),
-            moments=moments(again, margin, MOMENTS),
-            film=film(visual["scene"], visual["transforms"]) if visual else None,
-            ample=1.0 if clip is None else clip[1],
+            worst=None if margin is None else int(margin.argmin()),
         )
     )
+
+
+def margins(tree: Formula | None, trajectory: Trajectory) -> Floats | None:
+    """Return the robustness of the condition at every sample, (T,) in the unit of the predicates; None without one.
+
+    Only `always f` over the whole trajectory, or a conjunction of such, has one; its least value is the robustness.
+    """
+    if tree is None:
+        return None
+    found = robustness_signal(tree, trajectory.columns, trajectory.samples)
+    return found.values if found.attained == "least" and not np.isnan(found.values).any() else None

@@ -32,9 +32,9 @@ def test_what_a_run_has(run: Run) -> None:
     assert run.verify().checks.good
     assert set(run.tests["problem"]) == {each.name for each in run.header.config.problems}
     assert len(run.rollouts) > len(run.tests)
-    row = run.rollouts.rows[0]
-    assert run.trajectory(row.rollout).columns == ("t", "value")
-    assert run.trajectory(0).samples.shape == run.trajectory(row.rollout).samples.shape
+    row = run.rollouts[0]
+    assert run.trajectory(row["rollout"]).columns == ("t", "value")
+    assert run.trajectory(0).samples.shape == run.trajectory(row["rollout"]).samples.shape
     assert "probability at least" in repr(run)
 
 

@@ -1,19 +1,22 @@
 """The Gaussian process on a lattice against dense linear algebra, scikit-learn and its own replay."""
 
 import math
+import subprocess
+import sys
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.distance import cdist
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import Matern as ScikitMatern
 from threadpoolctl import threadpool_limits
 
 from perfbound.orchestrator.mathematics.gp.acquisition import climb, maximiser
 from perfbound.orchestrator.mathematics.gp.distinct import OffNodeKernel
-from perfbound.orchestrator.mathematics.gp.kernels import Floats, Matern
+from perfbound.orchestrator.mathematics.gp.kernels import Floats, Matern, scaled
 from perfbound.orchestrator.mathematics.gp.lattice import PARTS, Lattice
 from perfbound.orchestrator.mathematics.gp.posterior import Posterior, SingularKernelError
 from perfbound.orchestrator.mathematics.gp.radial import Radial
@@ -60,9 +63,23 @@ class TestKernel:
     def test_unit_amplitude_exactly(self, nu: float) -> None:
         assert Matern(nu, 1.0)(np.zeros(1))[0] == 1.0
 
-    def test_equals_scikit_learn_for_general_nu(self) -> None:
-        points = np.stack([self.r, np.zeros(5)], axis=1)
-        np.testing.assert_allclose(Matern(10, 1.0)(self.r), ScikitMatern(1.0, nu=10)(points)[0], rtol=1e-13)
+    @pytest.mark.parametrize("length_scale", [0.3, 1.5, 20.0, (0.5, 2.0)])
+    @pytest.mark.parametrize("nu", [0.1, 0.5, 1.0, 1.5, 2.0, 2.5, 3.3, 10.0])
+    def test_equals_scikit_learn_bitwise(self, nu: float, length_scale: float | tuple[float, float]) -> None:
+        dimension = 2 if isinstance(length_scale, tuple) else 1
+        points = np.random.default_rng(1).uniform(0.01, 60, (5000, dimension))
+        points[:300] /= 100
+        origin = np.zeros((1, dimension))
+        # The distances of `Matern` are scaled where there is a length per axis.
+        distances = cdist(origin, scaled(points, np.array(length_scale)) if dimension == 2 else points)
+        expected = ScikitMatern(length_scale, nu=nu)(origin, points)
+        assert Matern(nu, length_scale)(distances).tobytes() == expected.tobytes()
+
+    def test_loads_no_scikit_learn(self) -> None:
+        program = "import perfbound.orchestrator.run.session, perfbound.orchestrator.mathematics.gp.kernels as kernels"
+        program += "; kernels.Matern(3.3, 1.0)(kernels.np.ones(2)); import sys; print('sklearn' in sys.modules)"
+        ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+        assert ended.stdout.strip() == "False", "it takes over a second of CPU to import"
 
     @pytest.mark.parametrize(("nu", "length_scale"), [(0, 1), (-1, 1), (math.inf, 1), (1, 0), (1, math.nan)])
     def test_refuses_parameters(self, nu: float, length_scale: float) -> None:

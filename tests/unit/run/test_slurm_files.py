@@ -30,7 +30,6 @@ from perfbound.schemas.errors import PerfboundError
 from tests.end_to_end.processes import wait_for
 from tests.patience import PATIENCE
 
-EXAMPLE = Path(__file__).parents[3] / "deploy" / "slurm"
 HOME = Path("/home/ada")
 OPTIONS = SlurmOptions(
     "segway-paper",
@@ -57,11 +56,6 @@ HOSTILE = (
 )
 
 
-def test_the_example_is_what_the_command_writes() -> None:
-    """`python -m tests.unit.run.test_slurm_files` writes it anew."""
-    assert {path.name: path.read_text() for path in EXAMPLE.glob("*.sh")} == job_files(OPTIONS)
-
-
 def head(text: str) -> list[str]:
     """Return the lines that sbatch reads: those before the first command."""
     found = []
@@ -70,6 +64,14 @@ def head(text: str) -> list[str]:
             break
         found.append(line)
     return [line for line in found if line.startswith("#SBATCH")]
+
+
+def test_slurm_warns_a_job_before_its_limit_and_queues_it_again() -> None:
+    asked = {"ntasks=1", "cpus-per-task=1", "mem=2G", "time=4:00:00", "partition=long", "open-mode=append"}
+    asked |= {"signal=B:USR1@120", "requeue"}
+    for job, own in ((ORCHESTRATOR, {"output=%x-%j.log"}), (WORKERS, {"array=1-64", "output=%x-%A_%a.log"})):
+        own |= {f"job-name=segway-paper-{job}"}
+        assert {line.removeprefix("#SBATCH --") for line in head(job_files(OPTIONS)[f"{job}.sh"])} == asked | own
 
 
 @pytest.mark.parametrize("name", [*HOSTILE, "line\nbreak\n#SBATCH --uid=0", "../../etc", "", "x" * 5000])
@@ -645,9 +647,3 @@ def test_certificates_that_are_not_there_are_named(tmp_path: Path) -> None:
     arguments = [str(CAMPAIGN), "--workers", "3", "--folder", str(tmp_path), "--tls", str(tmp_path), "--dry-run"]
     found = CliRunner().invoke(cli, ["slurm", *arguments])
     assert str(found.exception).startswith(f"--tls: {tmp_path}/router/ca.pem: no such file")
-
-
-if __name__ == "__main__":
-    EXAMPLE.mkdir(exist_ok=True)
-    for file, content in job_files(OPTIONS).items():
-        (EXAMPLE / file).write_text(content)

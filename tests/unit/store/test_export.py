@@ -14,6 +14,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pyarrow.parquet
 import pytest
 from click.testing import CliRunner, Result
@@ -21,7 +22,7 @@ from click.testing import CliRunner, Result
 from perfbound.orchestrator.cli.group import cli
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import export
-from perfbound.orchestrator.store.export_tables import export_table, robustness_unit, unit
+from perfbound.orchestrator.store.export_tables import ExportColumn, export_table, robustness_unit, unit
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.errors import JournalError, PerfboundError
@@ -413,6 +414,27 @@ def test_both_formats_say_the_same(campaign: Path) -> None:
         found = [dict(zip(titles, map(plain, row.values()), strict=True)) for row in table.to_pylist()]
         assert found == texts[path.stem]
         assert table.schema.metadata[b"run"].decode() in query(campaign, "SELECT run FROM campaign")[0]
+
+
+def test_an_array_has_the_rows_and_titles_of_a_file(campaign: Path) -> None:
+    for name, expected in exported(campaign).items():
+        found = export.table_array(campaign, name)
+        assert len(found) == len(expected)
+        for title in expected[0] if expected else ():
+            values = found[title].tolist()
+            assert [plain(value).replace("nan", "") for value in values] == [row[title] for row in expected]
+    found = export.table_array(campaign, "rollouts")
+    assert [found.dtype[name].str for name in ("worker", "seed", "z1")] == ["|O", "<i8", "<f8"]
+    assert (found["size"] == found["size (B)"]).all()
+
+
+def test_a_number_that_an_array_lacks_is_nan(campaign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    columns = (ExportColumn("id", "text"), ExportColumn("test", "integer"), ExportColumn("class"))
+    monkeypatch.setattr(export, "table_rows", lambda _directory, _name: (columns, [("a", 1, 0.5), (None, None, None)]))
+    found = export.table_array(campaign, "tests")
+    assert found[0].item() == ("a", 1.0, 0.5)
+    assert found["id"][1] is None
+    assert np.isnan([found["test"][1], found["class"][1]]).all()
 
 
 def test_types_are_those_of_the_values(campaign: Path) -> None:
