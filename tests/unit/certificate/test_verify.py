@@ -620,6 +620,7 @@ def test_a_trajectory_that_was_cut(campaign: Path, kept: slice) -> None:
     assert failed(campaign) == ["trajectories"]
 
 
+@pytest.mark.integration
 def test_a_resimulation_that_cannot_be_done_is_no_pass(campaign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(*_: str, **__: object) -> str:
         raise PerfboundError("the system is not installed")

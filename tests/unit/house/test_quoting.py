@@ -59,6 +59,7 @@ def test_an_unquoted_value_would_be_found() -> None:
     assert [value for _, value in values(tree)] == ["path"]
 
 
+@pytest.mark.integration
 def test_a_directory_with_a_hostile_name(tmp_path: Path) -> None:
     directory = tmp_path / HOSTILE
     directory.mkdir()

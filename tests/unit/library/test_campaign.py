@@ -22,6 +22,8 @@ from perfbound.workers.systems.test_function import TestFunctionSystem
 from tests.campaigns import FOLDER
 from tests.patience import PATIENCE
 
+pytestmark = pytest.mark.integration
+
 CARS = Path(__file__).parents[3] / "deploy/examples/cars"
 KERNEL = {"nu": 2.5, "length_scale": {"gap": 30, "speed": 20}}
 AS_IN_THE_FILE: dict[str, Any] = {

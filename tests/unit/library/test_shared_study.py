@@ -23,6 +23,8 @@ from perfbound.schemas.errors import PerfboundError
 from tests.patience import PATIENCE
 from tests.unit.library.test_study import KEYS, T, asked, curve, finish, rig
 
+pytestmark = pytest.mark.integration
+
 MANY = {**KEYS, "replicates": 8, "window": 3, "max_tests": 6}
 """Of a campaign with several wanted rollouts at a time."""
 

@@ -30,6 +30,8 @@ from perfbound.schemas.errors import PerfboundError
 from tests.end_to_end.processes import wait_for
 from tests.patience import PATIENCE
 
+pytestmark = pytest.mark.integration
+
 HOME = Path("/home/ada")
 OPTIONS = SlurmOptions(
     "segway-paper",

@@ -298,6 +298,7 @@ def test_a_table_with_other_columns_is_not_perfbound_s(journal: Journal, tmp_pat
 # Unusable databases
 
 
+@pytest.mark.integration
 def test_the_locks_of_the_database_are_kept_while_it_is_open(journal: Journal, tmp_path: Path) -> None:
     """Another process that finds none of them begins the index of the log anew, below our feet: SIGBUS."""
     for fact in FACTS[:2]:
@@ -503,6 +504,7 @@ with campaign_lock(Path(sys.argv[1])):
 """
 
 
+@pytest.mark.integration
 def test_one_orchestrator_at_a_time_even_after_a_kill(tmp_path: Path) -> None:
     assert not is_held(tmp_path)
     with subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], stdout=subprocess.PIPE) as holder:

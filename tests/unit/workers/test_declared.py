@@ -203,6 +203,7 @@ def rollout(reference: str) -> Callable[[], bytes | Failure]:
     return lambda: run_request(template.request(RolloutId("p", 0, "nominal", 0), (0.5,), 1), lambda _: None)
 
 
+@pytest.mark.integration
 @ways
 def test_a_file_that_is_replaced_while_a_worker_runs_ends_its_rollouts(
     folder: Path, way: Callable[[Path], str], monkeypatch: pytest.MonkeyPatch

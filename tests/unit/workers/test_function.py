@@ -73,6 +73,7 @@ def short(x: float, *, horizon: float) -> np.ndarray[Any, Any]:
     return np.full((round(horizon * x / 0.1) + 1, 2), x)
 
 
+@pytest.mark.integration
 def test_an_early_end_is_held_where_the_system_declares_it() -> None:
     found = whole(made(short, step=0.1, after_end="hold"))
     assert found.columns == ("t", "a", "b", "ended")
@@ -276,6 +277,7 @@ def test_a_class_is_made_once() -> None:
     assert made_at == [1]
 
 
+@pytest.mark.integration
 def test_a_function_without_progress_shows_that_it_lives(monkeypatch: pytest.MonkeyPatch) -> None:
     import time
 

@@ -46,6 +46,8 @@ kernel = { nu = 2.5, length_scale = 1.0 }
 """
 STAYS = """
 import json, os, sys, time
+
+pytestmark = pytest.mark.integration
 rollouts = 0
 for line in sys.stdin:
     rollouts += 1

@@ -309,6 +309,7 @@ def test_trap_8_equal_in_one_process_whatever_ran_before(corner: Trajectory) -> 
     assert rollout(5.0, 0.0).samples == pytest.approx(corner.samples, abs=0)
 
 
+@pytest.mark.integration
 def test_trap_8_equal_in_a_fresh_process(corner: Trajectory) -> None:
     code = (
         "import hashlib; from perfbound.workers.systems.segway import SegwaySystem\n"
