@@ -139,13 +139,12 @@ DEFAULTS = {
     (CampaignConfig, "problems"): "by default one, `robustness`",
     (Range, "low"): "required without `choices`",
     (Range, "high"): "required without `choices`",
-    (MaternKernel, "length_scale"): "required by method `paper` and on scenarios",
-    (RigorousProblem, "kernel"): "required on scenarios",
-    (KrigingProblem, "kernel"): "",
+    (MaternKernel, "length_scale"): "required by `paper` and on scenarios",
     (ClaimRequest, "delta"): "by default that of the problem",
     (CampaignConfig, "claims"): "by default `failure_probability` with method `sample`",
     (CampaignConfig, "specifications"): "",
 }
+DEFAULTS |= {(model, "kernel"): "required by `paper` and on scenarios" for model in PROBLEM_MODELS.values()}
 """Defaults that follow from the rest of the file."""
 LEFT_OUT: dict[str, str] = {"rigorous": "on a box", "scenario": "on scenarios", "sample": "where starts are drawn"}
 """Where the file need not name its method."""

@@ -49,19 +49,19 @@ class SystemChoice(Model, extra="allow"):
         exclude_if=lambda value: value is None,
         min_length=1,
         max_length=1000,
-        description="of a function in a file or a program: what its rollouts read; files, folders and patterns "
+        description="of a function or a program: what its rollouts read; files, folders and patterns "
         '("tables/*.csv"), relative to the campaign file',
     )
     stamps: Stamps | None = Field(
         default=None,
         exclude_if=lambda value: value is None,
-        description="of a function in a file or a program: sample times are numbers of a step, rounded to float32, or "
+        description="of a function or a program: sample times are numbers of a step, rounded to float32, or "
         "sums with their round-off",
     )
     after_end: AfterEnd | None = Field(
         default=None,
         exclude_if=lambda value: value is None,
-        description="of a function in a file or a program: a rollout that ends before the horizon holds its last state,"
+        description="of a function or a program: a rollout that ends before the horizon holds its last state,"
         " or (`fail`) also violates the specification; without this key it is refused",
     )
     program: tuple[str, ...] | None = Field(
