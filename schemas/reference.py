@@ -49,8 +49,8 @@ METHODS = """
 Method `kriging` bounds at most three parameters. It makes all `max_tests` tests, as `sample` draws so many starts.
 [Which question do you have?](questions.md) has examples.
 
-| method | meaning | `method` may be left out | ranges | distributions | scenarios | table |
-|---|---|---|---|---|---|---|
+| method | meaning | spaces | `method` may be left out |
+|---|---|---|---|
 """
 PROBLEMS = """
 ## Problems
@@ -146,6 +146,7 @@ DEFAULTS = {
 }
 DEFAULTS |= {(model, "kernel"): "required by `paper` and on scenarios" for model in PROBLEM_MODELS.values()}
 """Defaults that follow from the rest of the file."""
+WORDS = {"box": "ranges"}
 LEFT_OUT: dict[str, str] = {"rigorous": "on a box", "scenario": "on scenarios", "sample": "where starts are drawn"}
 """Where the file need not name its method."""
 OMITTED = (
@@ -224,8 +225,8 @@ def _line(cells: Sequence[str]) -> str:
 
 def _method_row(name: MethodName, taken: Collection[SpaceKind]) -> str:
     meaning = PROBLEM_MODELS[name].model_fields["method"].description
-    spaces = ("yes" if each in taken else "" for each in get_args(SpaceKind))
-    return _line((name, str(meaning), LEFT_OUT.get(name, ""), *spaces))
+    spaces = ", ".join(WORDS.get(each, each) for each in get_args(SpaceKind) if each in taken)
+    return _line((name, str(meaning), spaces, LEFT_OUT.get(name, "")))
 
 
 def _problem_row(name: str, objective: Objective) -> str:
