@@ -46,98 +46,95 @@ class CampaignConfig(CampaignSize):
     clip: tuple[float, float] | None = Field(
         default=None,
         description="[-m, M]: range to which robustness is clipped; not needed by `maximum`, nor by `robustness` with "
-        "noise_scale = 0",
+        "`noise_scale = 0`",
     )
     specification: str | None = Field(
         default=None,
         max_length=10_000,
-        description="STL formula over trajectory columns; required by every problem but `maximum`",
+        description="STL formula over the columns; required by every problem but `maximum`",
     )
     specifications: tuple[Requirement, ...] = Field(
         default=(),
         max_length=MOST,
         exclude_if=lambda requirements: requirements == (),
-        description="several requirements instead of `specification`, one table each; not with method `paper`",
+        description="several requirements instead of `specification`; not with method `paper`",
     )
     required_margin: float = Field(
         default=0.0,
         exclude_if=lambda margin: margin == 0,
-        description="of the verdict: the least margin that the first claim has to show",
+        description="for the verdict: least margin that the first claim has to show",
     )
     required_at_most: float | None = Field(
         default=None,
         exclude_if=lambda value: value is None,
-        description="of the verdict, where the first claim is a bound from above: the largest value that is "
-        "acceptable, such as a failure probability; without it such a claim is never `SHOWN`",
+        description="for the verdict, if the first claim is a bound from above: largest acceptable value; without it "
+        "such a claim is never `SHOWN`",
     )
     required_probability: float | None = Field(
         default=None,
         gt=0,
         lt=1,
         exclude_if=lambda value: value is None,
-        description="of the verdict: the least probability of the first claim; by default 1 - delta",
+        description="for the verdict: least probability of the first claim; by default 1 - delta",
     )
     gap: Gap | None = Field(
         default=None, description="how `sim_gap` compares two trajectories; required by it, here or in the problem"
     )
     composition: Rule = Field(
         default="single",
-        description="rule of the first claim, short for `[[claims]]` with this rule and then those of every other "
-        "rule that the methods allow",
+        description="rule of the first claim; claims by the other allowed rules follow",
     )
     falsify: Falsify | None = Field(
         default=None,
         exclude_if=lambda falsify: falsify is None,
-        description="search for a counterexample: tests go where the robustness is expected to be below 0; implies "
+        description="search for a counterexample: tests go where robustness below 0 is expected; implies "
         "`until_counterexample`",
     )
     until_counterexample: bool = Field(
         default=False,
         validate_default=True,
-        description="end the campaign with the first test, in test order, of which a rollout violates the "
-        "specification; for one problem of the robustness, not with method `paper`",
+        description="end with the first test, in test order, of which a rollout violates the specification; for one "
+        "problem of the robustness, not with method `paper`",
     )
     on_refuted: Literal["continue", "stop"] = Field(
         default="continue",
         exclude_if=lambda choice: choice == "continue",
-        description="what a problem does when its tests refute an assumption of it: `continue`, or `stop`, for methods "
-        "`rigorous` and `scenario`, with no spot check after it; a problem whose own bounds contradict its constants "
-        "ends in both cases. The certificate says what is refuted",
+        description="what a problem does when its tests refute one of its assumptions; `stop` is for methods `rigorous`"
+        " and `scenario`, without spot check. A problem whose bounds contradict its constants always ends",
     )
     regions: bool = Field(
         default=False,
         exclude_if=lambda regions: not regions,
-        description="divide D into boxes that are certified safe, certified unsafe or undecided; every other test is "
-        "then where the sign is most open. For one problem of the robustness on a box, by method `rigorous`",
+        description="divide D into boxes that are certified safe, certified unsafe or undecided; for one problem of the"
+        " robustness on a box, by method `rigorous`",
     )
     visual: Literal["all", "none"] = Field(
-        default="all", description="trajectory files with a visual part, for viewers: all, or none"
+        default="all", description="whether trajectory files have a visual part for viewers"
     )
     max_attempts: int = Field(
         default=5,
         ge=1,
         le=1000,
-        description="number of failed attempts of one rollout that ends the campaign; two are enough if the system "
-        "fails alike or the deadline is missed",
+        description="failed attempts of one rollout that end the campaign; two if the system fails alike or misses the "
+        "deadline",
     )
     hung_after: float = Field(
         default=10.0,
         ge=1,
-        description="seconds without progress that end an attempt; a function or program that shows none is ended by "
-        "`deadline` alone",
+        description="s without progress that end an attempt of a system that shows its progress",
     )
-    deadline: float = Field(default=600.0, ge=1, description="longest duration of an attempt in s")
+    deadline: float = Field(default=600.0, ge=1, description="longest attempt in s")
     second_opinion: float = Field(
         default=0.0,
         ge=0,
         le=1,
-        description="share of the rollouts that two workers simulate, and that count if both agree bit by bit",
+        description="share of the rollouts that two workers simulate; these count if both agree bit by bit",
     )
     platform: str | None = Field(
         default=None,
         pattern=r"^[a-z0-9][a-z0-9._?-]{0,150}$",
-        description="class of machines (CPU, C library) of the workers, as the refusal of a worker names it, or `any`, "
-        "with rollouts that may differ in the last bits; by default that of the orchestrator that begins the campaign",
+        description="class of machines (CPU, C library) of the workers, or `any`: then rollouts may differ in the last "
+        "bits; by default that of the first orchestrator",
     )
     spot_check: int = Field(
         default=299,
@@ -146,16 +143,16 @@ class CampaignConfig(CampaignSize):
         description="fresh starts on a box that test every bound after the problems have ended",
     )
     spot_check_followups: int = Field(
-        default=299, ge=0, le=1_000_000, description="further rollouts at suspicious starts, where values are noisy"
+        default=299, ge=0, le=1_000_000, description="further rollouts at suspicious starts, if values are noisy"
     )
     spot_replicates: int = Field(
-        default=1, ge=1, le=1000, description="rollouts of each test of the spot check, where values are noisy"
+        default=1, ge=1, le=1000, description="rollouts of each test of the spot check, if values are noisy"
     )
     recheck: int = Field(
-        default=20, ge=0, le=10_000, description="recorded rollouts that are simulated once more before the certificate"
+        default=20, ge=0, le=10_000, description="recorded rollouts that are simulated again before the certificate"
     )
     system: SystemChoice = Field(description="the system under test")
-    space: Space = Field(description="D, all starting conditions: a range per parameter, scenarios, or a table")
+    space: Space = Field(description="D, all starting conditions")
     where: str | None = Field(
         default=None,
         max_length=10_000,
@@ -168,20 +165,18 @@ class CampaignConfig(CampaignSize):
         ge=2,
         le=MOST_STARTS,
         exclude_if=lambda candidates: candidates is None,
-        description="fixed starts, spread over the box as a Sobol sequence, which the claim is then about; by default "
-        "4096 with method `rigorous` on more than 3 parameters or with `where`, 64 with method `scenario` on ranges",
+        description="fixed starts of a Sobol sequence over the box, which the claim is then about; by default 4096 with"
+        " `rigorous` on more than 3 parameters or with `where`, 64 with `scenario` on ranges",
     )
     problems: tuple[Annotated[Problem, Field(discriminator="method")], ...] = Field(
         min_length=1,
-        description="the optimisation problems; without it there is one, `robustness`, and its keys are those of the "
-        "top level",
+        description="optimisation problems; a single `robustness` may have its keys at the top level",
     )
     claims: tuple[Asked, ...] = Field(
         default=(),
         max_length=100,
         exclude_if=lambda claims: claims == (),
-        description="what is claimed, the answer to the question of the file first: of drawn starts with method "
-        "`sample`, else from the bounds of problems by a rule",
+        description="what is claimed, the answer to the question of the file first",
     )
 
     @field_validator("until_counterexample")

@@ -12,7 +12,7 @@ class CampaignSize(Model):
 
     name: str = Field(
         pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$",
-        description="also names the run directory, and with `seed` decides on all seeds; without it that of the file",
+        description="names the run directory; with `seed`, decides on all seeds",
     )
     seed: int = Field(default=1, ge=0, lt=2**53, description="determines every random choice; `--seed` overrides it")
     window: int = Field(default=1, ge=1, le=10_000, description="tests in flight per problem")

@@ -80,12 +80,10 @@ class ClaimRequest(Model):
         default=1.0,
         ge=1,
         le=1e6,
-        description="Lambda: the claim holds for every distribution of the starts whose density is at most so many "
-        "times the declared one",
+        description="Lambda: the claim holds for every distribution of the starts with at most so many times the "
+        "declared density",
     )
-    delta: float | None = Field(
-        default=None, gt=0, lt=1, description="failure probability of this claim; by default that of the problem"
-    )
+    delta: float | None = Field(default=None, gt=0, lt=1, description="failure probability of this claim")
 
     @model_validator(mode="after")
     def _consistent(self) -> "ClaimRequest":

@@ -23,10 +23,13 @@ class ComposedClaim(Model):
     """A claim that is asked for, from the bounds of one problem or of two."""
 
     rule: Rule = Field(
-        description="`single`: the bound of one problem; for `nominal_robustness` and `sim_gap`, Theorem 2 with "
-        "multiplied probabilities, or with added failure probabilities; Bhatia-Davis with two extremes, or pointwise"
+        description="for `nominal_robustness` and `sim_gap`, Theorem 2 with multiplied probabilities, or with added "
+        "failure "
+        "probabilities; Bhatia-Davis with two extremes, or pointwise; `single`: the bound of one problem"
     )
-    problems: tuple[ProblemName, ...] = Field(min_length=1, max_length=2, description="whose bounds it is made from")
+    problems: tuple[ProblemName, ...] = Field(
+        min_length=1, max_length=2, description="whose bounds the claim is made from"
+    )
 
 
 def composes(rule: ClaimRule) -> TypeGuard[Rule]:

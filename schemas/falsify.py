@@ -12,26 +12,26 @@ class Falsify(Model):
         default=4,
         ge=1,
         le=1000,
-        description="of so many tests one is at random, whatever was observed; with method `sample` these alone are "
-        "samples, and the others enter no claim",
+        description="of so many tests one is at random; with method `sample` only these are samples, and the others "
+        "enter no claim",
     )
 
     shrink: bool = Field(
         default=False,
         exclude_if=lambda shrink: not shrink,
-        description="move the counterexample towards `nominal`, by bisection, as long as the system fails there",
+        description="move the counterexample towards `nominal` by bisection, as long as the system fails there",
     )
     nominal: dict[str, float] = Field(
         default={},
         exclude_if=lambda nominal: not nominal,
-        description="of some parameters, with `shrink`: the start towards which; by default the middle of each range",
+        description="with `shrink`: values of some parameters; by default the middle of each range",
     )
     shrink_tests: int = Field(
         default=20,
         ge=1,
         le=1000,
         exclude_if=lambda tests: tests == 20,
-        description="rollouts for it at most; they are counted apart, and no claim uses them",
+        description="most rollouts for it; no claim uses them",
     )
 
     @model_validator(mode="after")

@@ -16,8 +16,8 @@ class MaternKernel(Model):
         default=2.5, gt=0, le=50, description="smoothness; at most 40 in method `rigorous` and with `refine = true`"
     )
     length_scale: Positive | Annotated[dict[str, Positive], Field(min_length=1)] = Field(
-        description="distance over which the objective changes: one number per parameter by name, each in its unit; or "
-        "one number for all of them"
+        description="distance over which the objective changes, of all parameters, or of each by name in its unit; "
+        "by default half of each range, or the whole range with more than three parameters"
     )
 
     @property

@@ -9,6 +9,8 @@ from .kernel import MaternKernel, Positive, Weighted
 from .problems import OBJECTIVES, MethodName, ProblemName, Sense, any_of
 
 MAX_NU = 40
+OVERRIDES = "instead of the campaign's"
+"""The meaning of a key of a problem that the top level has as well."""
 
 
 class Gap(Model):
@@ -16,14 +18,14 @@ class Gap(Model):
 
     kind: Literal["signal_sup", "predicate_sup", "robustness"] = Field(
         default="signal_sup",
-        description="`signal_sup`: largest difference over time in one column; `predicate_sup`: in any predicate of "
-        "the specification; `robustness`: robustness of the nominal minus that of the true trajectory",
+        description="largest difference over time in one column, or in any predicate of the specification; or "
+        "robustness, nominal minus true",
     )
-    column: str | None = Field(default=None, description="`signal_sup` only, required: a column of the trajectory")
+    column: str | None = Field(default=None, description="of `signal_sup`, required: a column of the trajectory")
     lipschitz: float = Field(
         default=1.0,
         gt=0,
-        description="L: robustness changes by at most L times the gap; must be 1 except for `signal_sup`",
+        description="L: robustness changes by at most L times the gap; 1 except for `signal_sup`",
     )
 
     @model_validator(mode="after")
@@ -52,16 +54,18 @@ class _Problem(Model):
     """Whether a bound is claimed for the test alone at which the problem ends."""
 
     name: ProblemName = Field(description="which objective")
-    sense: Sense | None = Field(default=None, description="follows from the name; may be left out")
+    sense: Sense | None = Field(default=None, description="follows from the name")
     column: str | None = Field(
-        default=None, description="`maximum` only, required: the column whose expected peak is maximised"
+        default=None, description="of `maximum`, required: the column whose expected peak is maximised"
     )
-    delta: float = Field(default=0.05, gt=0, lt=1, description="failure probability of the confidence band")
-    window: int | None = Field(default=None, ge=1, le=10_000, description="overrides the campaign's")
-    replicates: int | None = Field(default=None, ge=1, le=100_000, description="overrides the campaign's")
-    resolution: int | None = Field(default=None, ge=2, description="overrides the campaign's")
-    max_tests: int | None = Field(default=None, ge=1, le=1_000_000, description="overrides the campaign's")
-    gap: Gap | None = Field(default=None, description="overrides the campaign's")
+    delta: float = Field(
+        default=0.05, gt=0, lt=1, description="failure probability of the bound, or of each drawn claim"
+    )
+    window: int | None = Field(default=None, ge=1, le=10_000, description=OVERRIDES)
+    replicates: int | None = Field(default=None, ge=1, le=100_000, description=OVERRIDES)
+    resolution: int | None = Field(default=None, ge=2, description=OVERRIDES)
+    max_tests: int | None = Field(default=None, ge=1, le=1_000_000, description=OVERRIDES)
+    gap: Gap | None = Field(default=None, description=OVERRIDES)
 
     @model_validator(mode="after")
     def _consistent(self) -> "_Problem":
@@ -83,7 +87,7 @@ class _Problem(Model):
 class _OptimisedProblem(_Problem):
     """The keys of methods that search the worst start."""
 
-    alpha: float = Field(gt=0, description="tolerance at which the problem stops; unit of the objective")
+    alpha: float = Field(gt=0, description="tolerance at which the problem stops, in the unit of the objective")
 
 
 class _PlannedProblem(_Problem):
@@ -99,10 +103,8 @@ class _BallProblem(_Problem):
     """The keys of methods that assume a norm in the space of a kernel."""
 
     rkhs_norm: float = Field(gt=0, description="B: bound on the norm of J - m0 in the space of the kernel")
-    prior_mean: float = Field(
-        default=0.0, description="m0: the Gaussian process models J - m0; J is the maximised objective"
-    )
-    kernel: MaternKernel = Field(description="Matern kernel of unit amplitude; B sets the scale")
+    prior_mean: float = Field(default=0.0, description="m0: J - m0 is modelled, J being the maximised objective")
+    kernel: MaternKernel = Field(description="Matern kernel of unit amplitude")
 
 
 class _KernelProblem(_BallProblem, _OptimisedProblem):
@@ -114,7 +116,7 @@ class PaperProblem(_KernelProblem):
 
     bound_at_end: ClassVar[bool] = True
     method: Literal["paper"] = Field(description="Algorithm 1 as printed")
-    c: float = Field(gt=0, description="margin for the noise of the last observation; unit of the objective")
+    c: float = Field(gt=0, description="margin for the noise of the last observation")
     noise_scale: float = Field(
         ge=0,
         description="R: sub-Gaussian scale of the noise of one rollout; for `true_risk`, of one observation",
@@ -128,7 +130,7 @@ class PaperProblem(_KernelProblem):
     tail: Literal["gaussian", "sub-gaussian"] = Field(
         default="gaussian", description="tail of the noise in the probability Delta"
     )
-    refine: bool = Field(default=False, description="search around the best node as well, to 1/16 of a cell")
+    refine: bool = Field(default=False, description="search around the best node, to 1/16 of a cell")
 
     @model_validator(mode="after")
     def _noisy(self) -> "PaperProblem":
@@ -142,13 +144,9 @@ class PaperProblem(_KernelProblem):
 class RigorousProblem(_KernelProblem):
     """An anytime bound from one confidence set."""
 
-    method: Literal["rigorous"] = Field(description="bounds that are valid at any time; may be left out on a box")
-    kernel: MaternKernel = Field(
-        description="Matern kernel of unit amplitude; B sets the scale; without its length scales they are half the "
-        "range of each parameter, of more than three parameters the whole range"
-    )
+    method: Literal["rigorous"] = Field(description="bounds that are valid at any time")
     noise_scale: Literal["derived"] | Annotated[float, Field(ge=0)] = Field(
-        description="R: sub-Gaussian scale of the noise of one rollout; `derived`: from the clip (Hoeffding); 0: none"
+        description="R: sub-Gaussian scale of the noise of one rollout; `derived` from the clip (Hoeffding); 0 for none"
     )
     regulariser: Annotated[float, Field(ge=1e-9)] | tuple[Weighted, ...] | None = Field(
         default=None, description="lambda, or a mixture of several; by default four values from R and B"
@@ -158,10 +156,10 @@ class RigorousProblem(_KernelProblem):
     )
     round_off: float = Field(default=1e-9, gt=0, description="tau0: round-off of a simulator without noise")
     slack: float | None = Field(
-        default=None, gt=0, description="tolerance of the maximum over a box; at most alpha, default alpha/4"
+        default=None, gt=0, description="tolerance of the maximum over a box; by default alpha/4, at most alpha"
     )
     linearised: Linearised | None = Field(
-        default=None, description="`true_risk` only, required: constants of an expectation that bounds the risk"
+        default=None, description="of `true_risk`, required: constants of an expectation that bounds the risk"
     )
 
     @model_validator(mode="after")
@@ -188,22 +186,20 @@ class KrigingProblem(_BallProblem, _PlannedProblem):
     """A bound over a box from weighted sums of rollouts, at starts that follow from the budget."""
 
     bound_at_end: ClassVar[bool] = True
-    delta: float = Field(default=0.05, gt=0, lt=1, description="failure probability of the bound")
     method: Literal["kriging"] = Field(description="weighted sums of bounded rollouts on a box")
     linearised: Linearised | None = Field(
-        default=None, description="`true_risk` only, required: constants of an expectation that bounds the risk"
+        default=None, description="of `true_risk`, required: constants of an expectation that bounds the risk"
     )
     spread: Positive | None = Field(
         default=None,
-        description="guess of the standard deviation of one value; a wrong one loses tightness, never validity; by "
-        "default that of `linearised`, or a tenth of the range of the values",
+        description="guess of the standard deviation of one value; a wrong one costs tightness, never validity; by "
+        "default that of `linearised`, or a tenth of the range",
     )
     points: int | None = Field(
         default=None,
         ge=2,
         le=9,
-        description="starts per parameter; by default 3 below 150 rollouts, 4 below 400, then 5; of three parameters "
-        "3 below 10,000, then 4; fewer where there are fewer tests than starts",
+        description="starts per parameter; by default 5 at most, fewer for a small budget",
     )
 
     @model_validator(mode="after")
@@ -228,14 +224,11 @@ class KrigingProblem(_BallProblem, _PlannedProblem):
 class ScenarioProblem(_OptimisedProblem):
     """Betting bounds on finitely many starts, without a kernel."""
 
-    delta: float = Field(default=0.05, gt=0, lt=1, description="failure probability of the bound")
-    method: Literal["scenario"] = Field(
-        description="finitely many starts, no kernel; may be left out on a list of scenarios"
-    )
+    method: Literal["scenario"] = Field(description="finitely many starts, no kernel")
     linearised: Linearised | Literal["past"] | None = Field(
         default=None,
-        description="`true_risk` only: an expectation that bounds the risk, with constants that are given, or from the "
-        "earlier rollouts of each start; without this key, Bhatia-Davis",
+        description="of `true_risk`: constants of an expectation that bounds the risk, or `past`, from the earlier "
+        "rollouts of each start; without this key, Bhatia-Davis",
     )
 
     @model_validator(mode="after")
@@ -251,14 +244,10 @@ class ScenarioProblem(_OptimisedProblem):
 class SampleProblem(_PlannedProblem):
     """Bounds from starts that are drawn, without a kernel and in any dimension."""
 
-    delta: float = Field(default=0.05, gt=0, lt=1, description="failure probability of each claim")
-    method: Literal["sample"] = Field(
-        description="starts drawn from the distribution under [space]; may be left out beside distributions, a table "
-        "or [[claims]]"
-    )
+    method: Literal["sample"] = Field(description="starts drawn from the distribution under [space]")
     jointly: bool = Field(
         default=False,
-        description="whether all claims together fail with probability `delta`: each then has its equal part of it",
+        description="all claims together fail with probability `delta`, of which each gets an equal part",
     )
 
     @model_validator(mode="after")

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from .campaign import CampaignConfig
 
 MOST = 50
+OWN_CONSTANT = "instead of the problem's; not with method `sample`"
 
 
 def _left_out(text: str, longest: int) -> Any:
@@ -27,7 +28,7 @@ def _own_constant() -> Any:
     return Field(
         default=None,
         exclude_if=lambda value: value is None,
-        description="of this requirement instead of the problem; not with method `sample`",
+        description=OWN_CONSTANT,
     )
 
 
@@ -38,7 +39,7 @@ class Requirement(Model):
     formula: str = Field(max_length=10_000, description="STL formula over trajectory columns")
     id: str | None = _left_out("of the requirement in its document", 200)
     text: str | None = _left_out("the requirement as it is written there", 2000)
-    link: str | None = _left_out("to it", 2000)
+    link: str | None = _left_out("to the document", 2000)
     alpha: Annotated[float, Field(gt=0)] | None = _own_constant()
     rkhs_norm: Annotated[float, Field(gt=0)] | None = _own_constant()
     prior_mean: float | None = _own_constant()

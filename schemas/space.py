@@ -23,7 +23,7 @@ SampleFormat = Literal["csv", "f64", "npy"]
 class ProgramLimits(Model):
     """What a program may use; the kernel enforces it."""
 
-    memory: float = Field(default=4.0, gt=0, le=1e6, description="address space in GB; more of it cannot be allocated")
+    memory: float = Field(default=4.0, gt=0, le=1e6, description="address space in GB")
     cpu: float | None = Field(
         default=None, ge=1, le=1e6, description="CPU seconds of one rollout; without it only `deadline` ends one"
     )
@@ -49,31 +49,31 @@ class SystemChoice(Model, extra="allow"):
         exclude_if=lambda value: value is None,
         min_length=1,
         max_length=1000,
-        description="of a function in a file and of a program: what its rollouts read, such as an FMU or weights; "
-        'files, folders and patterns ("tables/*.csv"), relative to the campaign file',
+        description="of a function or a program: what its rollouts read; files, folders and patterns "
+        '("tables/*.csv"), relative to the campaign file',
     )
     stamps: Stamps | None = Field(
         default=None,
         exclude_if=lambda value: value is None,
-        description="of a function in a file and of a program: the times of its samples are `exact`, numbers of a "
-        "step; rounded to `float32`; or `accumulated`, sums with their round-off",
+        description="of a function or a program: sample times are numbers of a step, rounded to float32, or "
+        "sums with their round-off",
     )
     after_end: AfterEnd | None = Field(
         default=None,
         exclude_if=lambda value: value is None,
-        description="of a function in a file and of a program: a rollout that ends before the horizon holds its last "
-        "state (`hold`), or violates the specification besides (`fail`); without this key it is refused",
+        description="of a function or a program: a rollout that ends before the horizon holds its last state,"
+        " or (`fail`) also violates the specification; without this key it is refused",
     )
     program: tuple[str, ...] | None = Field(
         default=None,
         min_length=1,
         max_length=100,
-        description="a program and its arguments; it is started in the folder of the campaign file",
+        description="a program and its arguments; it starts in the folder of the campaign file",
     )
     columns: dict[str, str] | None = Field(
         default=None,
         min_length=1,
-        description="of a program, required: columns of its samples with their units, in their order, without `t`",
+        description="of a program, required: columns of its samples in their order, with units, without `t`",
     )
     step: float | None = Field(
         default=None, gt=0, description="of a program: s between two samples; without it their first column is `t`"
@@ -82,15 +82,15 @@ class SystemChoice(Model, extra="allow"):
         default=None, description="of a program: the rollouts, or those of these variants, depend on the seed"
     )
     variants: tuple[Variant, ...] | None = Field(
-        default=None, min_length=1, description="of a program: its variants; without this key it has one, `nominal`"
+        default=None, min_length=1, description="of a program: by default `nominal` alone"
     )
     samples: SampleFormat | None = Field(
-        default=None, description="of a program: the form of its samples; without this key `csv`"
+        default=None, description="of a program: form of its samples; by default `csv`"
     )
     seed_bits: int | None = Field(
-        default=None, ge=31, le=SEED_BITS, description="of a program: seeds are below 2^seed_bits; without this key 53"
+        default=None, ge=31, le=SEED_BITS, description="of a program: seeds are below 2^seed_bits; by default 53"
     )
-    limits: ProgramLimits | None = Field(default=None, description="of a program: memory and CPU time that it may use")
+    limits: ProgramLimits | None = Field(default=None, description="of a program: what it may use")
     environment: tuple[str, ...] | None = Field(
         default=None, description="of a program: variables that it gets besides PATH, HOME and LANG"
     )
@@ -184,26 +184,17 @@ class Range(Model):
     distribution: DistributionName = Field(
         default="uniform",
         exclude_if=lambda name: name == "uniform",
-        description="of starts that are drawn, truncated to [low, high]; any but `uniform` only with a method that "
-        "draws its starts",
+        description="of drawn starts, truncated to [low, high]",
     )
-    mean: float | None = _described("of `normal`, before the truncation; in the unit of the parameter")
-    sd: float | None = _described(
-        "of `normal`: standard deviation, before the truncation; in the unit of the parameter", gt=0
-    )
-    median: float | None = _described("of `lognormal`, before the truncation; in the unit of the parameter", gt=0)
-    sigma: float | None = _described(
-        "of `lognormal`: standard deviation of the natural logarithm, before the truncation; without unit", gt=0
-    )
-    mode: float | None = _described("of `triangular`: the most frequent value; its ends are `low` and `high`")
+    mean: float | None = _described("of `normal`")
+    sd: float | None = _described("of `normal`: standard deviation", gt=0)
+    median: float | None = _described("of `lognormal`", gt=0)
+    sigma: float | None = _described("of `lognormal`: standard deviation of the natural logarithm, without unit", gt=0)
+    mode: float | None = _described("of `triangular`: the most frequent value; the ends are `low` and `high`")
     shape: float | None = _described("of `weibull`: k; 1 is exponential, 2 Rayleigh", gt=0)
-    scale: float | None = _described(
-        "of `weibull`: the value that 63.2 % do not exceed, before the truncation; in the unit of the parameter", gt=0
-    )
+    scale: float | None = _described("of `weibull`: the value that 63.2 % do not exceed", gt=0)
 
-    step: float | None = _described(
-        "drawn values are `low`, `low` + step, ... `high`; 1 for integers; in the unit of the parameter", gt=0
-    )
+    step: float | None = _described("drawn values are `low`, `low` + step, ... `high`; 1 for integers", gt=0)
     choices: tuple[float, ...] | None = Field(
         default=None,
         exclude_if=lambda value: value is None,
@@ -214,16 +205,16 @@ class Range(Model):
     signal: SignalKind | None = Field(
         default=None,
         exclude_if=lambda value: value is None,
-        description="an input over time through `knots` values, each in the range: `pchip` (smooth, monotone between "
-        "two knots), `linear`, or `constant` until the next knot",
+        description="an input over time through `knots` values: smooth and monotone between knots, linear, or constant "
+        "until the next one",
     )
     knots: int | None = Field(
         default=None,
         exclude_if=lambda value: value is None,
         ge=1,
         le=MAX_KNOTS,
-        description="of `signal`, required: values, equally spaced over [0, horizon]; each is a parameter of its own, "
-        "NAME_0, NAME_1, ...",
+        description="of `signal`, required: values at equal distances over [0, horizon]; each is a parameter NAME_0, "
+        "NAME_1, ...",
     )
 
     @model_validator(mode="after")
@@ -309,7 +300,7 @@ class Range(Model):
 Header = Annotated[
     tuple[str, ...] | None,
     # No part of the campaign, which is the same one without a header.
-    Field(exclude=True, description="words above the columns; the name of a parameter has to be above its own column"),
+    Field(exclude=True, description="words above the columns; a parameter's name has to be above its own column"),
 ]
 
 
@@ -347,7 +338,7 @@ class StartTable(Model):
     table: tuple[tuple[float, ...], ...] = Field(
         min_length=1,
         max_length=MAX_TABLE,
-        description="the name of a CSV file beside this one, or its rows: one number per parameter of the system",
+        description="the name of a CSV file beside this one, or its rows, one number per parameter of the system",
     )
     header: Header = None
 

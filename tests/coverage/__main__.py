@@ -36,7 +36,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--campaigns", type=_positive, default=1000, help="campaigns a row, rounded up to chunks of 50")
     parser.add_argument("--kind", choices=sorted({row.kind for row in all_rows()}), help="rows of this kind only")
     parser.add_argument("--show", action="store_true", help="run nothing; only show what earlier runs have found")
-    parser.add_argument("--write", type=Path, help="page whose generated part and figure are written anew")
+    parser.add_argument("--write", type=Path, help="page that is written anew, with records and figure")
     return parser.parse_args()
 
 

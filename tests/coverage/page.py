@@ -1,4 +1,4 @@
-"""The study's tables, its verdict, and the generated parts of docs/coverage.md, one a kind."""
+"""The study's tables, one line for each of its rows, its verdict, and the records that the page is written from."""
 
 import datetime
 import os
@@ -15,8 +15,8 @@ from tests.coverage.oracle import LEVEL, allowed, at_most
 from tests.coverage.plot import power_curve
 from tests.coverage.records import DIRECTORY, Chunk, Row, code, read, together
 from tests.coverage.study import CHUNK
-
-FIGURE = "images/coverage-audit.png"
+from tests.coverage.summary import FIGURE, ORIGINS, PARTS, RESULTS, RecordError, csv_text, marks, part
+from tests.coverage.summary import read as read_record
 
 JUDGED: dict[str, tuple[str, ...]] = {
     "rigorous": ("failed",),
@@ -287,11 +287,6 @@ def collect(rows: Sequence[Row], campaigns: int, directory: Path = DIRECTORY) ->
     return [each for each in found if each.campaigns]
 
 
-def marks(kind: str) -> tuple[str, str]:
-    """Return the lines of a page between which the results of a kind are written."""
-    return f"<!-- results of {kind}: begin -->", f"<!-- results of {kind}: end -->"
-
-
 def tables(found: Sequence[Found]) -> str:
     """Return the tables of every kind with results."""
     return "\n\n".join(text for _, text in _by_kind(found)) + "\n"
@@ -304,32 +299,50 @@ def _by_kind(found: Sequence[Found]) -> Iterator[tuple[str, str]]:
         if chosen:
             parts = [f"### {title}", _table(columns, chosen)]
             parts += [_sums(chosen)] if any(each.judged for each in chosen) else []
-            parts += [f"![Power of the audit]({FIGURE})"] if kind == "audit" else []
             yield kind, "\n\n".join(parts)
 
 
-def write(page: Path, found: Sequence[Found]) -> None:
-    """Put the tables of each kind between its marks in `page`, and the figure of the audit beside it.
+def write(page: Path, found: Sequence[Found], results: Path = RESULTS) -> None:
+    """Write the record of each kind with results, the parts of `page` from all records, and the figure of the audit.
 
-    Kinds without results keep what the page has of them.
+    Kinds without results keep their records.
 
     Raises:
-        PageError: the page cannot be read, or has no marks for a kind with results.
+        PageError: the page cannot be read, or has no marks for a part; or a record is missing.
 
     """
     try:
         text = page.read_text(encoding="utf-8")
     except OSError as error:
         raise PageError(f"{page}: {error.strerror}; give --write an existing page") from error
-    for kind, part in _by_kind(found):
-        begin, end = marks(kind)
-        if begin not in text or end not in text:
-            raise PageError(f"{page} has no lines '{begin}' and '{end}': put them where the tables belong")
-        before, after = text.split(begin)[0], text.split(end)[1]
-        text = f"{before}{begin}\n\n{part}\n\n{_origin(kind)}\n\n{end}{after}"
+    for name in PARTS:
+        if not all(mark in text for mark in marks(name)):
+            begin, end = marks(name)
+            raise PageError(f"{page} has no lines '{begin}' and '{end}': put them where the table belongs")
+    record(found, results)
+    try:
+        for name in PARTS:
+            begin, end = marks(name)
+            text = text.split(begin)[0] + part(name, results) + text.split(end)[1]
+    except RecordError as error:
+        raise PageError(str(error)) from error
     page.write_text(text, encoding="utf-8")
     if audits := [(each.row, each.results) for each in found if each.row.kind == "audit"]:
         power_curve(audits, page.parent / FIGURE)
+
+
+def record(found: Sequence[Found], results: Path) -> None:
+    """Write the record of each kind with results, and its origin."""
+    results.mkdir(parents=True, exist_ok=True)
+    origins = {line["kind"]: line for line in read_record("origins", results)} if (results / ORIGINS).exists() else {}
+    for kind, (_, columns) in TABLES.items():
+        chosen = [each for each in found if each.row.kind == kind]
+        if chosen:
+            lines = [{title: cell(each) for title, cell in columns} for each in chosen]
+            (results / f"{kind}.csv").write_text(csv_text(lines), encoding="utf-8")
+            origins[kind] = _origin(kind)
+    ordered = [origins[kind] for kind in TABLES if kind in origins]
+    (results / ORIGINS).write_text(csv_text(ordered), encoding="utf-8")
 
 
 def _sums(found: Sequence[Found]) -> str:
@@ -380,11 +393,14 @@ def _table(columns: Sequence[Column], found: Sequence[Found]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def _origin(kind: str) -> str:
-    command = shlex.join(["python", "-m", "tests.coverage", *sys.argv[1:]])
-    today = datetime.datetime.now(datetime.UTC).date()
-    return (
-        f"Written on {today} by `{command}` on {os.cpu_count()} cores with a load of {os.getloadavg()[0]:.1f} "
-        f"(Python {platform.python_version()}, numpy {np.__version__}); the code under study had the digest "
-        f"`{code(kind)}`."
-    )
+def _origin(kind: str) -> dict[str, str]:
+    return {
+        "kind": kind,
+        "written": f"{datetime.datetime.now(datetime.UTC).date()}",
+        "command": shlex.join(["python", "-m", "tests.coverage", *sys.argv[1:]]),
+        "cores": f"{os.cpu_count()}",
+        "load": f"{os.getloadavg()[0]:.1f}",
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "code": code(kind),
+    }

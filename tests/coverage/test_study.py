@@ -4,6 +4,7 @@ import ast
 import doctest
 import json
 import math
+import shutil
 import subprocess
 import sys
 from itertools import product
@@ -14,7 +15,7 @@ import pytest
 from scipy.stats import binom
 from sklearn.gaussian_process.kernels import Matern
 
-from tests.coverage import bounded, functions, laws, noises, oracle, page, records, run
+from tests.coverage import bounded, functions, laws, noises, oracle, page, records, run, spot_page, summary
 from tests.coverage.kriging import Kriging
 from tests.coverage.records import Row
 from tests.coverage.regions import Region
@@ -114,8 +115,9 @@ def test_not_a_number_is_outside() -> None:
 
 
 def test_the_doctests_hold() -> None:
-    found = doctest.testmod(oracle)
-    assert (found.failed, found.attempted > 0) == (0, True)
+    for module in (oracle, summary):
+        found = doctest.testmod(module)
+        assert (found.failed, found.attempted > 0) == (0, True)
 
 
 def test_the_design_has_every_level() -> None:
@@ -193,25 +195,60 @@ def test_the_verdict_is_about_right_premises_only() -> None:
 
 
 def test_the_page_is_written_between_its_marks(tmp_path: Path) -> None:
-    found = [found_row(1.0, refuted=50), found_row(2.0, refuted=10)]
+    results = tmp_path / "results"
+    shutil.copytree(summary.RESULTS, results)
     target = tmp_path / "page.md"
-    (begin, end), (other_begin, other_end) = page.marks("audit"), page.marks("paper")
-    other = f"{other_begin}\nanother table\n{other_end}\n"
-    target.write_text(f"before\n{begin}\nreplaced text\n{end}\nafter\n{other}", encoding="utf-8")
-    page.write(target, found)
+    parts = "\n".join(f"{begin}\nreplaced text\n{end}" for begin, end in map(summary.marks, summary.PARTS))
+    target.write_text(f"before\n{parts}\nafter\n", encoding="utf-8")
+    page.write(target, [found_row(1.0, refuted=50), found_row(2.0, refuted=10)], results)
     text = target.read_text(encoding="utf-8")
     assert text.startswith("before\n")
-    assert text.endswith(f"{end}\nafter\n{other}"), "a kind without results keeps its table"
+    assert text.endswith("after\n")
     assert "replaced text" not in text
     assert "**FAILS**" in text
-    assert (tmp_path / page.FIGURE).stat().st_size < 100_000
+    assert (tmp_path / summary.FIGURE).stat().st_size < 100_000
+    assert len(summary.read("audit", results)) == 2
+    assert summary.read("paper", results) == summary.read("paper"), "a kind without results keeps its record"
+    origins = {line["kind"]: line["code"] for line in summary.read("origins", results)}
+    assert origins["audit"] == records.code("audit")
+    assert set(origins) == set(page.TABLES)
 
 
-def test_the_page_has_a_place_for_every_kind() -> None:
+def test_the_page_has_what_the_generator_writes_from_the_records() -> None:
     text = (records.ROOT / "docs" / "coverage.md").read_text(encoding="utf-8")
+    assert all(summary.part(name) in text for name in summary.PARTS)
+
+
+def test_the_page_has_what_the_record_of_silent_claims_says() -> None:
+    text = spot_page.RECORD.read_text(encoding="utf-8")
+    record = json.loads(text)
+    assert spot_page.section(record) in (records.ROOT / "docs" / "coverage.md").read_text(encoding="utf-8")
+    assert spot_page.record_text(record) == text
+    assert {each["campaigns"] for each in record["claims"]} == {record["functions"]}
+
+
+def test_every_kind_has_a_record_with_the_columns_of_its_table() -> None:
     assert set(page.TABLES) == set(page.JUDGED) == {row.kind for row in all_rows()}
-    for kind in page.TABLES:
-        assert [text.count(mark) for mark in page.marks(kind)] == [1, 1]
+    assert {line["kind"] for line in summary.read("origins")} == set(page.TABLES)
+    for kind, (_, columns) in page.TABLES.items():
+        lines = summary.read(kind)
+        assert list(lines[0]) == [title for title, _ in columns]
+        assert len(lines) == sum(row.kind == kind for row in all_rows())
+
+
+def test_a_row_that_fails_is_not_hidden_among_others(tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    shutil.copytree(summary.RESULTS, results)
+    lines = summary.read("rigorous")
+    lines[0] |= {"any": "999", "verdict": "**FAILS**"}
+    (results / "rigorous.csv").write_text(summary.csv_text(lines), encoding="utf-8")
+    (bad,) = [line for line in summary.part("claims", results).splitlines() if "FAILS" in line]
+    assert "| 999/137 |" in bad
+
+
+def test_a_missing_record_is_named(tmp_path: Path) -> None:
+    with pytest.raises(summary.RecordError, match="no record of paper"):
+        summary.part("contrast", tmp_path)
 
 
 @pytest.mark.parametrize("text", [None, "no marks"])
@@ -220,4 +257,5 @@ def test_a_page_that_cannot_be_written_is_named(tmp_path: Path, text: str | None
     if text is not None:
         target.write_text(text, encoding="utf-8")
     with pytest.raises(page.PageError, match=r"page\.md"):
-        page.write(target, [found_row(1.0, refuted=0)])
+        page.write(target, [found_row(1.0, refuted=0)], tmp_path / "results")
+    assert not (tmp_path / "results").exists()

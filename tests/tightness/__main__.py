@@ -10,7 +10,7 @@ one_blas_thread()
 
 from tests.tightness.claims import PageError  # noqa: E402  (numpy reads the setting once)
 from tests.tightness.curves import NORMS, SEEDS, curve, worst  # noqa: E402
-from tests.tightness.page import table, write  # noqa: E402
+from tests.tightness.page import summary, table, write  # noqa: E402
 from tests.tightness.rollouts import record, subject  # noqa: E402
 
 ROLLOUTS = 7200
@@ -26,7 +26,7 @@ def main() -> int:
     segway = subject()
     recorded = record(segway, options.rollouts)
     curves, truth = [curve(segway, recorded, norm, options.seeds) for norm in NORMS], worst(segway, recorded)
-    sys.stdout.write(table(curves, truth, recorded.total))
+    sys.stdout.write(table(summary(curves, truth, recorded.total)))
     if options.write is not None:
         write(options.write, curves, truth, recorded.total)
     return 0

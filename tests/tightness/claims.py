@@ -3,7 +3,7 @@
 import re
 from typing import NamedTuple
 
-NUMBER = r"-?\d*\.?\d+"
+NUMBER = r"-?\d[\d,]*\.?\d*"
 OTHERS = {
     "printed, Theorem 2": "segway-paper",
     "segway-paper": "segway-paper",
@@ -59,10 +59,10 @@ def _claim(row: list[str], same: list[str]) -> Claim:
 def _numbers(cell: str) -> tuple[float, float, float]:
     """Return median, least and greatest.
 
-    >>> _numbers(".079 (-.107 to .223)"), _numbers("6400")
+    >>> _numbers("0.079 (-0.107 to 0.223)"), _numbers("6,400")
     ((0.079, -0.107, 0.223), (6400.0, 6400.0, 6400.0))
     """
-    found = [float(each) for each in re.findall(NUMBER, cell)]
+    found = [float(each.replace(",", "")) for each in re.findall(NUMBER, cell)]
     if len(found) not in {1, 3}:
         raise PageError(f"{cell!r} is no number, and no median with least and greatest; fix the table")
     return (found[0], found[1], found[2]) if len(found) == 3 else (found[0],) * 3

@@ -1,8 +1,11 @@
-"""The generated part of docs/paper.md: the figure and the table of the bounds."""
+"""The generated part of docs/paper.md: the figure, the table of the bounds, and the record of its numbers."""
 
+import json
 import statistics
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from perfbound.orchestrator.report import style
 from perfbound.orchestrator.report.paper.table_text import markdown
@@ -15,30 +18,60 @@ FIGURE = "images/paper-rollouts.png"
 BEGIN, END = "<!-- bounds against rollouts: begin -->", "<!-- bounds against rollouts: end -->"
 
 
-def table(curves: Sequence[Curve], truth: Worst, recorded: int) -> str:
-    """Return the bounds over the seeds (median, least, greatest), and what the record says of its worst point."""
-    head = ["B", "without rollouts", *(f"{count:,}" for count in sorted(curves[0].bounds)), "refuted"]
+RECORD = Path(__file__).with_name("bounds.json")
+"""The numbers of the table and of the budgets that it leaves out: median, least and greatest of each bound."""
+SHOWN = (128, 400, 1600, 6400)
+"""Numbers of rollouts in the table; the figure has all."""
+
+
+def summary(curves: Sequence[Curve], truth: Worst, recorded: int) -> dict[str, Any]:
+    """Return the numbers of the record."""
+    return {
+        "campaigns": len(next(iter(curves[0].bounds.values()))),
+        "recorded": recorded,
+        "start": list(truth.x),
+        **{name: round(getattr(truth, name), 3) for name in ("risk", "observed", "error")},
+        "curves": [
+            {
+                "norm": each.norm,
+                "alone": round(each.alone, 3),
+                "bounds": {str(count): _spread(values) for count, values in sorted(each.bounds.items())},
+                "refuted": each.refuted,
+            }
+            for each in curves
+        ],
+    }
+
+
+def table(numbers: Mapping[str, Any]) -> str:
+    """Return the bounds over the seeds, and what the record says of its worst point, from the numbers of a record."""
+    head = ["B", "without rollouts", *(f"{count:,}" for count in SHOWN), "refuted"]
     lines = [
         [
-            f"{each.norm:g}",
-            _short(each.alone),
-            *(_spread(each.bounds[n]) for n in sorted(each.bounds)),
-            f"{each.refuted}",
+            f"{each['norm']:g}",
+            f"{each['alone']:.3f}",
+            *("{:.3f} ({:.3f} to {:.3f})".format(*each["bounds"][str(count)]) for count in SHOWN),
+            f"{each['refuted']}",
         ]
-        for each in curves
+        for each in numbers["curves"]
     ]
-    campaigns = len(next(iter(curves[0].bounds.values())))
-    start = ", ".join(f"{value:g}" for value in truth.x)
-    return (
-        f"{markdown(head, lines)}\n"
-        f"Bounds of {campaigns} campaigns each, drawn with replacement from {recorded:,} recorded rollouts of the true "
-        f"Segway. In this record the risk at the worst of the 25 points, ({start}), is {_short(truth.risk)}, and the "
-        f"least mean of X, to which the bounds tend, {_short(truth.observed)} +- {_short(truth.error)}.\n"
+    start = ", ".join(f"{value:g}" for value in numbers["start"])
+    words = (
+        f"Bounds of {numbers['campaigns']} campaigns each (median, least and greatest), drawn with replacement from "
+        f"{numbers['recorded']:,} recorded rollouts of the true Segway. In this record the risk at the worst of the 25 "
+        f"points, ({start}), is {numbers['risk']:.3f}, and the least mean of X, to which the bounds tend, "
+        f"{numbers['observed']:.3f} +- {numbers['error']:.3f}."
     )
+    return f"{markdown(head, lines)}\n{textwrap.fill(words, 100)}\n"
 
 
-def write(page: Path, curves: Sequence[Curve], truth: Worst, recorded: int) -> None:
-    """Put the figure beside the page and the table between its marks.
+def section(numbers: Mapping[str, Any]) -> str:
+    """Return the generated part of the page, with its marks."""
+    return f"{BEGIN}\n\n{table(numbers)}\n{END}"
+
+
+def write(page: Path, curves: Sequence[Curve], truth: Worst, recorded: int, record: Path = RECORD) -> None:
+    """Put the figure beside the page, the table between its marks, and all numbers into the record.
 
     Raises:
         PageError: the page cannot be read, or lacks the marks or a claim.
@@ -52,24 +85,23 @@ def write(page: Path, curves: Sequence[Curve], truth: Worst, recorded: int) -> N
         raise PageError(f"{page} has no lines '{BEGIN}' and '{END}': put them where the table belongs")
     drawn = style.png(figure(curves, truth, other_claims(text)))
     before, after = text.split(BEGIN)[0], text.split(END)[1]
-    whole = f"{before}{BEGIN}\n\n{table(curves, truth, recorded)}\n{END}{after}"
-    atomic.write_whole(page, whole.encode())
+    numbers = summary(curves, truth, recorded)
+    atomic.write_whole(record, record_text(numbers).encode())
+    atomic.write_whole(page, f"{before}{section(numbers)}{after}".encode())
     atomic.write_whole(page.parent / FIGURE, drawn)
 
 
-def _spread(values: Sequence[float]) -> str:
+def record_text(numbers: Mapping[str, Any]) -> str:
+    """Return a record, one line for each norm."""
+    first = {name: value for name, value in numbers.items() if name != "curves"}
+    curves = ",\n".join(f"  {json.dumps(each)}" for each in numbers["curves"])
+    return f'{json.dumps(first)[:-1]}, "curves": [\n{curves}\n]}}\n'
+
+
+def _spread(values: Sequence[float]) -> list[float]:
     """Return the median, least and greatest.
 
     >>> _spread([0.25, 0.5, 0.125])
-    '.250 (.125 to .500)'
+    [0.25, 0.125, 0.5]
     """
-    return f"{_short(statistics.median(values))} ({_short(min(values))} to {_short(max(values))})"
-
-
-def _short(value: float) -> str:
-    """Return a number below 1 with three digits and without its zero.
-
-    >>> _short(0.5019), _short(-0.31)
-    ('.502', '-.310')
-    """
-    return f"{value:.3f}".replace("0.", ".", 1)
+    return [round(each, 3) for each in (statistics.median(values), min(values), max(values))]

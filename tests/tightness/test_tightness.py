@@ -1,6 +1,7 @@
 """The study's own parts: its record survives a kill, its claims are those of the page, and its page has a place."""
 
 import doctest
+import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 from perfbound.orchestrator.mathematics.bounds.kriging_design import plan_design
 from tests.tightness import claims, figure, page
 from tests.tightness.claims import OTHERS, PageError, other_claims
-from tests.tightness.curves import BUDGETS, Budget, Curve, Worst, a_method, campaign, observed, worst
+from tests.tightness.curves import BUDGETS, NORMS, Budget, Curve, Worst, a_method, campaign, observed, worst
 from tests.tightness.figure import LABELS
 from tests.tightness.rollouts import PER_PARAMETER, ROOT, Place, Subject, record, subject
 
@@ -99,20 +100,32 @@ def test_a_page_without_a_claim_or_with_another_form_is_refused() -> None:
     with pytest.raises(PageError, match="no claim of segway-direct; restore"):
         other_claims(PAGE.replace("| `segway-direct` |", "| `segway-other` |"))
     with pytest.raises(PageError, match="fix the table"):
-        other_claims(PAGE.replace("| 6000 |", "| 6000 or 7000 |"))
+        other_claims(PAGE.replace("| 6,000 |", "| 6,000 or 7,000 |"))
 
 
 def test_figure_and_table_are_written_beside_the_page(tmp_path: Path) -> None:
     target = tmp_path / "paper.md"
     target.write_text(PAGE, encoding="utf-8")
     (tmp_path / page.FIGURE).parent.mkdir()
-    page.write(target, CURVES, TRUTH, 7200)
+    page.write(target, CURVES, TRUTH, 7200, tmp_path / "bounds.json")
     text = target.read_text(encoding="utf-8")
-    assert "| 0.2 | .490             | .520 (.500 to .600)" in text
+    assert "| 0.2 | 0.490            | 0.520 (0.500 to 0.600)" in text
+    assert page.section(json.loads((tmp_path / "bounds.json").read_text())) in text
     assert text.split(page.BEGIN)[0] == PAGE.split(page.BEGIN)[0]
     assert text.split(page.END)[1] == PAGE.split(page.END)[1]
     assert 10_000 < (tmp_path / page.FIGURE).stat().st_size < 300_000
     assert page.FIGURE in PAGE
+
+
+def test_the_page_has_what_the_generator_writes_from_the_record() -> None:
+    text = page.RECORD.read_text()
+    numbers = json.loads(text)
+    assert page.section(numbers) in PAGE
+    assert page.record_text(numbers) == text
+    assert [each["norm"] for each in numbers["curves"]] == list(NORMS)
+    assert {int(count) for each in numbers["curves"] for count in each["bounds"]} == {
+        budget.rollouts for budget in BUDGETS
+    }
 
 
 def test_a_page_without_marks_is_named(tmp_path: Path) -> None:
