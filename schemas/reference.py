@@ -84,7 +84,8 @@ SECTIONS: tuple[Section, ...] = (
         "[space]",
         Range,
         'One entry per parameter of the system: `x = [0, 5]`, or a table, `x = { low = 0.0, high = 5.0, unit = "m" }`. '
-        "[Starting conditions](own-system.md#starting-conditions) shows each form. The keys of a distribution describe it before it is "
+        "[Starting conditions](own-system.md#starting-conditions) shows each form. The keys of a distribution describe "
+        "it before it is "
         "truncated to the range, in the unit of the parameter.",
     ),
     Section(
