@@ -33,7 +33,7 @@ IDENTIFIES_ALWAYS: Any = {
     "problems": {"__all__": {"delta": True, "kernel": {"nu": True}}},
 }
 """Keys that are part of the identity also at their default: a file that leaves one out is the same campaign as one that
-writes it, and files from before these keys had a default keep their identity."""
+writes it."""
 
 
 class CampaignConfig(CampaignSize):
@@ -227,6 +227,6 @@ class CampaignConfig(CampaignSize):
 
     @property
     def digest(self) -> str:
-        """Identity of the campaign since rules 2: its keys that differ from their defaults and decide a number."""
+        """Identity of the campaign: its keys that differ from their defaults and decide a number."""
         changed = self.model_dump(mode="json", exclude_defaults=True, exclude=DECIDES_NOTHING)
         return digest(merged(changed, self.model_dump(mode="json", include=IDENTIFIES_ALWAYS)))

@@ -8,7 +8,7 @@ Layout, every record as MCAP has it (opcode, 8 bytes of length, content):
     summary, footer, magic                       without a visual part exactly these bytes, else with the same indexes
                                                  of the evidence
 
-Every version of perfbound has written the evidence in this form, so that the rules of a campaign make no difference.
+The form is the same whatever campaign the rollout belongs to.
 """
 
 import struct

@@ -48,9 +48,7 @@ def no_orchestrator(endpoints: Sequence[str], run: str | None, *, strangers: boo
     """Return the line for a link without an orchestrator of the run, or with one that does not know the secret."""
     place = " or ".join(endpoints)
     if strangers:
-        # One from before the secrets is a stranger as well; a worker from before them cannot be told by anybody.
-        older = "an orchestrator of an older version has none: install the same version on both"
-        return f"the orchestrator at {place} does not know the secret of this worker: {both_ways()}; {older}"
+        return f"the orchestrator at {place} does not know the secret of this worker: {both_ways()}"
     which = f"run {run}" if run else "any run"
     allowed = (
         f"; if one runs, it or the router was started with --allow and must list {common_name!r}" if common_name else ""

@@ -146,7 +146,7 @@ def subject(manifest_sha256: str) -> document.Subject:
 def question(header: Header) -> dict[str, object]:
     """Return the keys of the campaign file that the claims are about, so that a reader needs no other file."""
     keys = {"system", "space", "specification", "clip", "risk_weight", "horizon", "gap", "composition"}
-    # Left out while it is not set, so that certificates of before keep their bytes.
+    # Left out while it is not set: few campaigns set one.
     optional = ("until_counterexample", "falsify", "specifications", "regions", "where")
     sought = {key for key in optional if getattr(header.config, key)}
     if header.config.on_refuted != "continue":
