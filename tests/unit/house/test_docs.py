@@ -101,6 +101,8 @@ def test_the_system_of_the_docs_keeps_the_contract() -> None:
     assert system.visual(true) is None
 
 
+@pytest.mark.integration
+@pytest.mark.rest
 @pytest.mark.skipif(importlib.util.find_spec("mkdocs") is None, reason="mkdocs is not installed: make docs")
 def test_the_site_builds_is_searchable_and_loads_nothing_from_outside(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--site-dir", str(tmp_path)]
