@@ -80,6 +80,7 @@ def test_variables_are_known_to_the_code(path: Path) -> None:
         assert f'"{name}"' in code, name
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("exists", [False, True])
 def test_a_campaign_is_begun_once_and_then_continued(tmp_path: Path, exists: bool) -> None:
     program = tmp_path / "perfbound"

@@ -267,6 +267,7 @@ def test_a_directory_without_a_campaign(tmp_path: Path) -> None:
         load_recorded(tmp_path, NOMINAL)
 
 
+@pytest.mark.integration
 def test_the_reason_of_the_child_is_passed_on(segway: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def ask(*_: str, **__: object) -> str:
         raise PerfboundError("the system 'segway' is not installed here; known: test-function")

@@ -374,6 +374,7 @@ main()
 """
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("words", [["init"], ["issue", "node-1", "--worker"]])
 def test_a_kill_leaves_nothing_half_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))

@@ -37,6 +37,7 @@ def locked(path: Path, flags: int = os.O_RDONLY, kind: int = fcntl.LOCK_EX) -> I
         os.close(descriptor)
 
 
+@pytest.mark.integration
 def test_an_orchestrator_on_another_node_is_seen_by_the_lock_of_the_file_alone(tmp_path: Path) -> None:
     (tmp_path / LOCK_FILE).touch()
     with locked(tmp_path / LOCK_FILE, os.O_RDWR):
@@ -48,6 +49,7 @@ def test_an_orchestrator_on_another_node_is_seen_by_the_lock_of_the_file_alone(t
         pass
 
 
+@pytest.mark.integration
 def test_an_orchestrator_of_an_older_build_is_seen_by_the_lock_of_the_folder(tmp_path: Path) -> None:
     with locked(tmp_path):
         assert is_held(tmp_path)
@@ -117,6 +119,7 @@ def test_the_probe_of_a_reader_does_not_keep_an_orchestrator_from_starting(
         pass
 
 
+@pytest.mark.integration
 def test_a_lock_on_a_file_that_was_replaced_before_it_was_locked_counts_for_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -294,6 +297,7 @@ with campaign_lock(Path(sys.argv[1])):
 """
 
 
+@pytest.mark.integration
 def test_a_program_that_outlives_a_killed_orchestrator_keeps_no_lock(tmp_path: Path) -> None:
     ended = subprocess.run([sys.executable, "-c", CHILD, str(tmp_path)], stdout=subprocess.PIPE, check=False)
     child = int(ended.stdout)
