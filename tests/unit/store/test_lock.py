@@ -50,7 +50,7 @@ def test_an_orchestrator_on_another_node_is_seen_by_the_lock_of_the_file_alone(t
 
 
 @pytest.mark.integration
-def test_an_orchestrator_of_an_older_build_is_seen_by_the_lock_of_the_folder(tmp_path: Path) -> None:
+def test_a_lock_of_the_folder_alone_keeps_others_out(tmp_path: Path) -> None:
     with locked(tmp_path):
         assert is_held(tmp_path)
         with pytest.raises(PerfboundError, match=RUNNING), campaign_lock(tmp_path):
@@ -58,7 +58,7 @@ def test_an_orchestrator_of_an_older_build_is_seen_by_the_lock_of_the_folder(tmp
         assert not (tmp_path / LOCK_FILE).exists(), "the folder is locked first"
 
 
-def test_both_locks_are_held_for_older_builds_and_for_other_nodes(tmp_path: Path) -> None:
+def test_both_locks_are_held_as_a_lock_file_may_be_removed_and_a_folder_is_locked_on_one_node(tmp_path: Path) -> None:
     with campaign_lock(tmp_path):
         for path in (tmp_path, tmp_path / LOCK_FILE):
             with pytest.raises(BlockingIOError), locked(path, kind=fcntl.LOCK_SH):
@@ -74,7 +74,7 @@ def test_the_file_is_opened_for_writing_or_nfs_gives_no_exclusive_lock(tmp_path:
         assert not os.get_inheritable(held.descriptor)
 
 
-def test_a_directory_of_before_gets_its_file_from_its_next_orchestrator_alone(tmp_path: Path) -> None:
+def test_the_file_comes_from_an_orchestrator_alone(tmp_path: Path) -> None:
     assert not is_held(tmp_path)
     assert list(tmp_path.iterdir()) == [], "a reader makes nothing"
     with campaign_lock(tmp_path):
