@@ -1,8 +1,8 @@
 """The lock of a run directory for one orchestrator: two flocks, which the kernel releases on kill -9.
 
-The first one is on the folder, which outlives a removed lock file; NFS keeps it on one node. The second one is on a file in
-it, open for writing: NFS turns that one into a lock of the server, which all nodes see. The file stays in place,
-since a lock on a file that was removed protects nothing.
+The first one is on the folder, which outlives a removed lock file; NFS keeps it on one node. The second one is on a
+file in it, open for writing: NFS turns that one into a lock of the server, which all nodes see. The file stays in
+place, since a lock on a file that was removed protects nothing.
 """
 
 import errno

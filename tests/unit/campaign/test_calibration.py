@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from perfbound.orchestrator.campaign import calibration_tolerance
 from perfbound.orchestrator.campaign import plan as plans
 from perfbound.orchestrator.campaign.calibrated_file import kernel_file, sample_file, without_keys
 from perfbound.orchestrator.campaign.calibration import CONSTANTS, Constant, calibrated, linearised_constants
@@ -159,6 +160,20 @@ def test_every_constant_has_a_reason_and_the_file_has_all_of_them(tmp_path: Path
     assert isinstance(forecast, ToleranceForecast)
     assert forecast.tests is not None
     assert forecast.budget >= forecast.tests
+
+
+def test_an_alpha_that_no_budget_reaches_is_kept_where_a_user_has_chosen_it_and_raised_elsewhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(calibration_tolerance, "MOST_TESTS", 20)
+    monkeypatch.setattr(calibration_tolerance, "LARGEST_BUDGET", 20)
+    chosen, raised = (
+        result(tmp_path, f"{alpha}{HEAD}", noisy=False, rollouts=150).forecasts[0] for alpha in ("alpha = 1e-3\n", "")
+    )
+    assert isinstance(chosen, ToleranceForecast)
+    assert isinstance(raised, ToleranceForecast)
+    assert (chosen.tests, chosen.alpha) == (None, 1e-3)
+    assert raised.tests == 20
 
 
 COARSE = f"clip = [-1, 3]\nresolution = 5\n{HEAD}"

@@ -6,8 +6,10 @@ from typing import Any
 import pytest
 
 from perfbound.orchestrator.campaign.checks import check, check_new
-from perfbound.orchestrator.campaign.clip import by_clip, least_risk
+from perfbound.orchestrator.campaign.clip import by_clip, floored, is_vacuous, least_risk, of_drawn_starts
 from perfbound.orchestrator.mathematics.bounds.risk import bhatia_davis
+from perfbound.orchestrator.mathematics.bounds.rounding import round_down
+from perfbound.schemas.claims import ClaimRequest
 from perfbound.schemas.errors import CampaignError
 from perfbound.schemas.problem_models import Gap
 from perfbound.workers.systems.test_function import TestFunctionSystem
@@ -48,6 +50,18 @@ def test_no_law_on_the_clip_has_a_lower_risk(changes: dict[str, Any]) -> None:
         mean, sd = low + share * (high - low), math.sqrt(share * (1 - share)) * (high - low)
         assert least <= mean - found.risk_weight * sd
     assert least == pytest.approx(bhatia_davis(low, found.clip, found.risk_weight), abs=2e-9)
+
+
+def test_of_drawn_starts_the_clip_alone_proves_its_lower_end_and_without_a_clip_there_is_no_limit() -> None:
+    clipped = config("segway-scenario")
+    unclipped = clipped.model_copy(update={"clip": None})
+    mean, share, risk = (ClaimRequest(quantity=each) for each in ("mean", "failure_probability", "risk"))
+    assert clipped.clip is not None
+    low = round_down(clipped.clip[0])
+    assert [of_drawn_starts(clipped, each) for each in (mean, share, risk)] == [low, 1.0, least_risk(clipped)]
+    assert [of_drawn_starts(unclipped, each) for each in (mean, share, risk)] == [None, 1.0, None]
+    assert (floored(low - 1.0, ">=", low), floored(low - 1.0, ">=", None)) == (low, low - 1.0)
+    assert (is_vacuous(low, ">=", low), is_vacuous(low, ">=", None)) == (True, False)
 
 
 @pytest.mark.parametrize("low", [0.0, 0.5])

@@ -3,6 +3,8 @@
 import gc
 import queue
 import threading
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import pytest
 
@@ -11,6 +13,7 @@ from perfbound.orchestrator.fleet.inbox import Budget, Inbox
 from perfbound.orchestrator.fleet.transport import Garbage, Heartbeat, Inbound, Result, Token
 from perfbound.schemas.errors import MessageError
 from perfbound.schemas.messages import PROTOCOL, ResultHeader, WorkerState
+from tests.fakes.interleaving import meanwhile
 
 HEADER = ResultHeader(rollout="maximum.0.true.0", attempt=1, worker="w", outcome="done", sha256="a" * 64)
 
@@ -131,6 +134,42 @@ def test_readers_and_the_loop_lose_no_worker() -> None:
     assert (inbox._newest, inbox._waiting) == ({}, {})
 
 
+class Key:
+    """A key, equal to every other, with something that happens when it is looked up for the second time."""
+
+    def __init__(self, then: Callable[[], object]) -> None:
+        self._then, self._looks = then, 0
+
+    def __eq__(self, other: object) -> bool:
+        return True
+
+    def __hash__(self) -> int:
+        self._looks += 1
+        if self._looks == 2:
+            self._then()
+        return 0
+
+
+@dataclass(frozen=True)
+class Replacing:
+    """A message of a worker that replaces the one before."""
+
+    at: float
+    replaces: Key
+    worker: str = "w"
+
+
+def test_a_message_is_not_lost_that_comes_while_the_one_before_is_taken() -> None:
+    inbox: Inbox[Replacing] = Inbox()
+    found: list[Replacing] = []
+    threads: list[threading.Thread] = []
+    inbox.put(Replacing(1.0, Key(lambda: None)))
+    # It has found the one before, whose place it takes now.
+    inbox.put(Replacing(2.0, Key(lambda: threads.append(meanwhile(lambda: found.append(inbox.get(0.0)))))))
+    threads[0].join()
+    assert [each.at for each in found] == [2.0]
+
+
 def test_results_count_until_nothing_holds_them() -> None:
     budget = Budget(of_worker=100, whole=150)
     budget.reserve("w", 60)
@@ -166,3 +205,49 @@ def test_many_threads_leave_nothing_behind() -> None:
         thread.join()
     gc.collect()
     assert budget.held == 0
+
+
+class Size(int):
+    """Bytes of a result, with something that happens when they are first added or subtracted."""
+
+    then: Callable[[], object] | None = None
+
+    def __radd__(self, other: int) -> int:
+        self._happen()
+        return other + int(self)
+
+    def __rsub__(self, other: int) -> int:
+        self._happen()
+        return other - int(self)
+
+    def _happen(self) -> None:
+        then, self.then = self.then, None
+        if then is not None:
+            then()
+
+
+def test_two_results_that_come_together_take_no_more_room_than_there_is() -> None:
+    budget, size, refused = Budget(of_worker=100), Size(60), list[MessageError]()
+    threads: list[threading.Thread] = []
+
+    def reserve() -> None:
+        try:
+            budget.reserve("w", 60)
+        except MessageError as error:
+            refused.append(error)
+
+    size.then = lambda: threads.append(meanwhile(reserve))
+    budget.reserve("w", size)
+    threads[0].join()
+    assert (budget.held, len(refused)) == (60, 1)
+
+
+def test_the_room_of_a_result_that_comes_while_another_goes_is_counted() -> None:
+    budget, size = Budget(), Size(60)
+    threads: list[threading.Thread] = []
+    budget.reserve("w", size)
+    size.then = lambda: threads.append(meanwhile(lambda: budget.reserve("w", 10)))
+    budget.release_with(Result(0.0, "w", HEADER, b""), size)
+    gc.collect()
+    threads[0].join()
+    assert budget.held == 10

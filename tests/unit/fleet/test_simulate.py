@@ -8,15 +8,18 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import pytest
+from pydantic import TypeAdapter
 
 from perfbound.orchestrator.fleet.child import HangError, ask, installed_systems, system_spec
 from perfbound.orchestrator.fleet.family import place_of_stack
 from perfbound.orchestrator.fleet.measure import measure_in_children
 from perfbound.orchestrator.fleet.simulate import LIMIT, WantedRollout, simulate_to
 from perfbound.schemas.errors import CampaignError, PerfboundError, Stopped
+from perfbound.schemas.system_check import Measured, Trial
+from tests.unit.run.test_service import an_assign
 
 HANGS = """import os, subprocess, time
 from pathlib import Path
@@ -148,6 +151,33 @@ def test_a_stop_says_what_was_ended(folder: Path, hung: Callable[[BaseException]
 
 def measured() -> object:
     return measure_in_children([[]], [], limit=2.0, done=lambda _: None)
+
+
+class AnsweringChild:
+    """A child in this process, that prints something and answers every trial that it reads; it has ended at once."""
+
+    returncode = 0
+    pid = 2**22 + 1  # more than Linux has
+
+    def __init__(self, _line: object, *, stdin: IO[bytes], stdout: IO[bytes], pass_fds: list[int], **_: object) -> None:
+        trials = TypeAdapter(tuple[Trial, ...]).validate_json(os.read(stdin.fileno(), 1 << 16))
+        os.write(stdout.fileno(), b"says this\nand that\n")
+        for each in (Measured(), *(Measured(seconds=trial.pause) for trial in trials)):
+            os.write(pass_fds[0], each.model_dump_json().encode() + b"\n")
+
+    def poll(self) -> int:
+        return 0
+
+    wait = kill = poll
+
+
+def test_a_child_reads_all_trials_and_what_it_prints_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(subprocess, "Popen", AnsweringChild)
+    trials = [Trial(request=an_assign(number).request, pause=number) for number in (1, 2)]
+    done: list[int] = []
+    (run,) = measure_in_children([trials], [], limit=2.0, done=done.append)
+    assert [each.seconds for each in run.measured] == [1.0, 2.0]
+    assert (run.printed, run.ended, done) == ("says this", "", [0, 0])
 
 
 @pytest.mark.parametrize("starts", [partial(ask, "systems"), measured])

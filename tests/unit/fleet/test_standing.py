@@ -22,7 +22,7 @@ from perfbound.orchestrator.fleet.events import (
 )
 from perfbound.orchestrator.fleet.limits import Limits
 from perfbound.orchestrator.fleet.retries import missed
-from perfbound.orchestrator.fleet.standing import Place
+from perfbound.orchestrator.fleet.standing import Place, Standings, count_failure, last_failure, set_aside
 from perfbound.orchestrator.fleet.state import DispatchState
 from perfbound.schemas.failure import Failure
 from perfbound.schemas.ids import Attempt, RolloutId
@@ -189,6 +189,14 @@ def test_a_bad_worker_that_is_alone_for_long_is_tried_again() -> None:
     later = min(at for at, start in found.starts if at >= began and start.worker == "a")
     assert later - began <= 31, "not the rest of 120 s"
     assert TakeBack(Place("worker", "a")) in [pause for _, pause in found.pauses]
+
+
+def test_a_worker_waits_for_the_last_failure_of_its_host_while_that_is_set_aside() -> None:
+    standings: Standings = {}
+    for at, worker in ((1.0, "h_1"), (9.0, "h_2")):
+        standings = count_failure(standings, worker, "h", Attempt(R0, 1), at)
+    assert last_failure(standings, "h_1", "h") == 1.0
+    assert last_failure(set_aside(standings, Place("host", "h"), 9.0, LIMITS), "h_1", "h") == 9.0
 
 
 def test_nothing_of_workers_that_are_gone_is_kept() -> None:

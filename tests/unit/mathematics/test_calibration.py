@@ -111,6 +111,12 @@ def test_exact_values_give_a_lower_bound_of_the_norm(seed: int, nu: float, count
     assert needed_norm(fit, at_centres, 0.0) == pytest.approx(2.0, rel=1e-3), "at its centres it is the whole norm"
 
 
+@pytest.mark.parametrize("data", [exact(smooth, 64), noisy(smooth, 0.1).first(64)], ids=["exact", "noisy"])
+def test_the_norm_is_that_of_the_distance_from_the_centre(data: SampledValues) -> None:
+    raised = SampledValues(data.shares, data.values + 5.0, data.variance)
+    assert needed_norm(PLAIN, raised, 5.0) == pytest.approx(needed_norm(PLAIN, data, 0.0))
+
+
 def test_the_norm_levels_off_for_a_smooth_function_and_rises_for_a_jump() -> None:
     for function, rises in ((smooth, False), (jumping, True)):
         data = exact(function)

@@ -15,8 +15,13 @@ from sklearn.gaussian_process.kernels import Matern as ScikitMatern
 from threadpoolctl import threadpool_limits
 
 from perfbound.orchestrator.mathematics.gp.acquisition import climb, maximiser
+<<<<<<< HEAD
 from perfbound.orchestrator.mathematics.gp.distinct import OffNodeKernel
 from perfbound.orchestrator.mathematics.gp.kernels import Floats, Matern, scaled
+=======
+from perfbound.orchestrator.mathematics.gp.distinct import DistinctPoints, OffNodeKernel
+from perfbound.orchestrator.mathematics.gp.kernels import Floats, Matern
+>>>>>>> c1aa4192b85d62593e6f25ed989f74737a331cf4
 from perfbound.orchestrator.mathematics.gp.lattice import PARTS, Lattice
 from perfbound.orchestrator.mathematics.gp.posterior import Posterior, SingularKernelError
 from perfbound.orchestrator.mathematics.gp.radial import Radial
@@ -122,6 +127,24 @@ class TestLattice:
         for index in range(LATTICE.size):
             rows.row(index)
         assert sizes == [LATTICE.size]
+
+    def test_the_kernel_of_a_point_that_was_observed_is_not_computed_again(self) -> None:
+        made: list[int] = []
+
+        class Rows:
+            size = LATTICE.size
+
+            def row(self, index: int) -> Floats:
+                made.append(index)
+                return ROWS.row(index)
+
+        points = DistinctPoints(Rows())
+        for index in (4, 9):
+            points.position(index)
+        row, among = points.row(4)
+        np.testing.assert_array_equal(row, ROWS.row(4))
+        np.testing.assert_array_equal(among, ROWS.row(4)[[4, 9]])
+        assert made == [4, 9]
 
     @pytest.mark.parametrize(
         ("low", "high", "resolution", "message"),

@@ -3,6 +3,7 @@
 import asyncio
 import itertools
 import shutil
+import threading
 import time
 from collections.abc import Mapping
 from dataclasses import replace
@@ -36,6 +37,7 @@ from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas.so_far import Expected, Span
 from tests.campaigns import config
 from tests.fakes.inmemory import Log, campaign
+from tests.fakes.interleaving import meanwhile
 from tests.unit.report.test_web import Answer, Client
 
 OPEN_METRICS = "application/openmetrics-text;version=1.0.0;escaping=allow-utf-8;q=0.6,text/plain;version=0.0.4;q=0.3"
@@ -310,6 +312,26 @@ def test_many_clients_cost_one_reading(watched: tuple[Path, list[str]], monkeypa
         metric.exposition("")
     assert all(later - earlier >= metrics.PAUSE for earlier, later in itertools.pairwise(read))
     assert 1 <= len(read) < 20
+
+
+def test_clients_that_ask_at_the_same_time_cost_one_reading(
+    watched: tuple[Path, list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The reader of the database is for one thread."""
+    metric, readings, threads = CampaignMetrics(watched[0], None), list[int](), list[threading.Thread]()
+    whole = metric._campaign.read
+
+    def read() -> Watched:
+        readings.append(1)
+        if len(readings) == 1:
+            threads.append(meanwhile(metric.refresh))
+        return whole()
+
+    monkeypatch.setattr(metrics, "PAUSE", 60.0)
+    monkeypatch.setattr(metric._campaign, "read", read)
+    metric.refresh()
+    threads[0].join()
+    assert len(readings) == 1
 
 
 def test_probes_of_a_page_without_a_run(watched: tuple[Path, list[str]], tmp_path: Path) -> None:

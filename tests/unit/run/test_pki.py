@@ -8,6 +8,8 @@ import signal
 import stat
 import subprocess
 import sys
+import threading
+from datetime import datetime
 from pathlib import Path
 
 import pytest
@@ -16,13 +18,14 @@ from cryptography import x509
 from cryptography.hazmat.primitives.serialization import BestAvailableEncryption, Encoding, PrivateFormat
 
 from perfbound.orchestrator.cli.group import cli
-from perfbound.orchestrator.fleet.authority import certificate_bytes, key_bytes, new_authority
-from perfbound.orchestrator.run.pki import load_signer, pki_folder
+from perfbound.orchestrator.fleet.authority import Order, certificate_bytes, key_bytes, new_authority
+from perfbound.orchestrator.run.pki import issue_files, issued, load_signer, pki_folder
 from perfbound.schemas import atomic
 from perfbound.schemas.certificates import check_host, check_link_files
 from perfbound.schemas.errors import AuthorityError, PerfboundError
 from perfbound.schemas.secret import user_secret
 from tests.fakes.certificates import DAY, now
+from tests.fakes.interleaving import meanwhile
 
 
 def command(*words: object) -> Result:
@@ -226,6 +229,30 @@ def test_the_folder_of_the_secret_is_for_its_user_alone_whoever_makes_it(
     assert "run `chmod 700` on it" in refused("issue", "node-2", "--worker")
 
 
+def test_of_two_names_that_cannot_go_together_one_is_issued_also_at_the_same_time(
+    home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    threads, refusals = list[threading.Thread](), list[AuthorityError]()
+
+    def issue_other() -> None:
+        try:
+            issue_files(home, Order("node-1-2", "worker"), 3, None)
+        except AuthorityError as error:
+            refusals.append(error)
+
+    def instant() -> datetime:
+        """The first name has been compared with those that are issued."""
+        if not threads:
+            threads.append(threading.current_thread())
+            threads[0] = meanwhile(issue_other)
+        return now()
+
+    monkeypatch.setattr("perfbound.orchestrator.run.pki._now", instant)
+    issue_files(home, Order("node-1", "worker"), 3, None)
+    threads[0].join()
+    assert ([each.order.name for each in issued(home)], len(refusals)) == (["node-1"], 1)
+
+
 def test_a_private_key_in_a_git_work_tree_is_warned_about(home: Path, tmp_path: Path) -> None:
     (tmp_path / "project" / ".git").mkdir(parents=True)
     result = command("issue", "node-1", "--worker", "--out", tmp_path / "project" / "node-1")
@@ -289,8 +316,11 @@ def test_an_authority_that_others_could_read_or_replace(home: Path) -> None:
     (home / "ca-key.pem").chmod(0o640)
     assert "others can read this private key; run `chmod 600` on it" in refused("issue", "n", "--worker")
     (home / "ca-key.pem").chmod(0o600)
-    home.chmod(0o770)
-    assert "others could replace the authority in it; run `chmod 700`" in refused("issue", "n", "--worker")
+    for writable in (0o720, 0o702):
+        home.chmod(writable)
+        assert "others could replace the authority in it; run `chmod 700`" in refused("issue", "n", "--worker")
+    home.chmod(0o755)
+    done("issue", "n", "--worker")
 
 
 @pytest.mark.parametrize(

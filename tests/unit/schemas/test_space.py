@@ -25,6 +25,7 @@ from perfbound.schemas.space import (
     Space,
     SpaceKind,
     StartTable,
+    SystemChoice,
     space_kind,
 )
 from perfbound.schemas.system import Column, Parameter, SystemSpec
@@ -456,3 +457,10 @@ def test_the_error_names_the_methods_that_draw() -> None:
 @pytest.mark.usefixtures("drawing")
 def test_a_method_that_draws_has_no_lattice_to_be_too_large() -> None:
     assert parsed("\n".join(f"x{k} = [0, 1]" for k in range(12))).space.keys() == {f"x{k}" for k in range(12)}
+
+
+def test_a_worker_finds_an_installed_system_by_its_name_and_a_program_by_its_campaign_file(tmp_path: Path) -> None:
+    program = SystemChoice(program=("./run",), columns={"v": "m"})
+    file = tmp_path / "c.toml"
+    assert SystemChoice(name="robot").reference(file) == "robot"
+    assert program.reference(file) == str(file)

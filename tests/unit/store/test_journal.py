@@ -21,7 +21,7 @@ from perfbound.orchestrator.store.attempt_record import table_digests
 from perfbound.orchestrator.store.changes import ChangeReader, rollouts_of
 from perfbound.orchestrator.store.counts import CountReader
 from perfbound.orchestrator.store.export import export
-from perfbound.orchestrator.store.journal import Journal
+from perfbound.orchestrator.store.journal import Journal, open_engine
 from perfbound.orchestrator.store.lock import LOCK_FILE, campaign_lock, is_held
 from perfbound.orchestrator.store.progress import header_alone, read_progress, session_options
 from perfbound.orchestrator.store.rows import DATABASE, SCHEMA_VERSION
@@ -217,6 +217,14 @@ def test_the_largest_numbers_of_messages_come_back_and_sums_of_older_ones_are_fi
     assert sum(each.cpu_seconds + each.wall_seconds for each in outcomes) == 6 * MOST_SECONDS
 
 
+def test_a_commit_is_on_the_disk_when_it_returns(tmp_path: Path) -> None:
+    """A worker drops a result that is committed. SQLite syncs its log at a commit from level 2 on, FULL."""
+    engine = open_engine(tmp_path / DATABASE)
+    with engine.begin() as connection:
+        assert connection.exec_driver_sql("PRAGMA synchronous").scalar_one() >= 2
+    engine.dispose()
+
+
 # Failures and their kinds
 
 LOST, RAISED = Failure("infrastructure", "worker lost for 3 s"), Failure("system", "the solver did not converge")
@@ -249,6 +257,17 @@ def test_a_failure_that_is_called_like_a_result_is_none(journal: Journal, tmp_pa
     end(journal, (R0, 1, Failure("system", "recorded")), (R0, 2, Failure("system", "restored")))
     assert ended(tmp_path) == [("failed: recorded", "system"), ("failed: restored", "system")]
     assert read_progress(tmp_path).failures == 2
+
+
+def test_an_attempt_that_failed_in_the_system_is_no_opinion(journal: Journal) -> None:
+    with journal.transaction():
+        for number, worker in enumerate("abc", 1):
+            journal.attempts.started(Attempt(R0, number), worker, "h", 1)
+            journal.attempts.opinion("compared", Attempt(R0, number), worker, "d" if worker == "c" else "e")
+        journal.attempts.ended(Attempt(R0, 3), "c", RAISED)
+    with journal.transaction():
+        found = [(each.attempt.number, each.worker) for each in journal.attempts.compared()]
+        assert (found, journal.attempts.disputed()) == ([(1, "a"), (2, "b")], [])
 
 
 R1 = RolloutId("maximum", 1, "true", 0)

@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import pytest
 
@@ -250,3 +251,20 @@ def test_a_rollout_is_handed_back_once_and_its_result_is_dropped(begun: threadin
     running.worker.receive(Release())
     assert running.ended() == "left"
     assert {each.outcome for each in wire.results} == {"handed_back"}
+
+
+def test_a_result_has_the_seconds_that_its_rollout_took(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = SimpleNamespace(cpu=100.0, wall=1000.0)
+
+    def simulated(*_: object) -> bytes:
+        clock.cpu, clock.wall = clock.cpu + 2.0, clock.wall + 3.0
+        return b"x"
+
+    monkeypatch.setattr(module, "time", SimpleNamespace(process_time=lambda: clock.cpu, monotonic=lambda: clock.wall))
+    monkeypatch.setattr(module, "run_request_on", simulated)
+    monkeypatch.setattr(module, "requested_system", lambda _: SimpleNamespace(spec=SimpleNamespace(largest_file=10)))
+    wire = Wire()
+    worker = WorkerProcess("w", wire)
+    worker.receive(an_assign(0))
+    worker.serve(lambda _: bool(wire.results))
+    assert {(each.cpu_seconds, each.wall_seconds) for each in wire.results} == {(2.0, 3.0)}
