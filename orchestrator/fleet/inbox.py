@@ -8,7 +8,7 @@ only the newest one waits, in the place of the first, so that a loop with much t
 import queue
 import threading
 import weakref
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
@@ -101,6 +101,7 @@ class Budget:
     def __init__(self, of_worker: int = RESULTS_OF_WORKER, whole: int = RESULTS) -> None:
         self._limits = of_worker, whole
         self._held: Counter[str] = Counter()
+        self._given_back: deque[tuple[str, int]] = deque()
         self._lock = threading.Lock()
 
     def reserve(self, worker: str, size: int) -> None:
@@ -112,6 +113,7 @@ class Budget:
         """
         of_worker, whole = self._limits
         with self._lock:
+            self._settle()
             if self._held[worker] + size > of_worker or self._held.total() + size > whole:
                 raise MessageError(f"a result of {size} bytes was dropped unread, because too many wait already")
             self._held[worker] += size
@@ -125,10 +127,16 @@ class Budget:
     def held(self) -> int:
         """Bytes in memory now."""
         with self._lock:
+            self._settle()
             return self._held.total()
 
     def _release(self, worker: str, size: int) -> None:
-        with self._lock:
+        # A finalizer may run anywhere, also in a thread that holds the lock: it takes none, and appending is atomic.
+        self._given_back.append((worker, size))
+
+    def _settle(self) -> None:
+        while self._given_back:
+            worker, size = self._given_back.popleft()
             self._held[worker] -= size
             if self._held[worker] <= 0:
                 del self._held[worker]

@@ -242,12 +242,12 @@ def test_two_results_that_come_together_take_no_more_room_than_there_is() -> Non
     assert (budget.held, len(refused)) == (60, 1)
 
 
-def test_the_room_of_a_result_that_comes_while_another_goes_is_counted() -> None:
-    budget, size = Budget(), Size(60)
-    threads: list[threading.Thread] = []
-    budget.reserve("w", size)
-    size.then = lambda: threads.append(meanwhile(lambda: budget.reserve("w", 10)))
-    budget.release_with(Result(0.0, "w", HEADER, b""), size)
-    gc.collect()
-    threads[0].join()
-    assert budget.held == 10
+def test_a_result_that_is_freed_while_room_is_made_for_another_holds_nothing_up() -> None:
+    """As the garbage collector frees one: in the thread that is about to count, and holds the lock."""
+    budget, size, waiting = Budget(), Size(10), [Result(0.0, "w", HEADER, b"")]
+    budget.reserve("w", 60)
+    budget.release_with(waiting[0], 60)
+    size.then = waiting.clear
+    thread = meanwhile(lambda: budget.reserve("w", size))
+    assert not thread.is_alive()
+    assert (waiting, budget.held) == ([], 10)

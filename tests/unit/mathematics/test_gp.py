@@ -15,13 +15,8 @@ from sklearn.gaussian_process.kernels import Matern as ScikitMatern
 from threadpoolctl import threadpool_limits
 
 from perfbound.orchestrator.mathematics.gp.acquisition import climb, maximiser
-<<<<<<< HEAD
-from perfbound.orchestrator.mathematics.gp.distinct import OffNodeKernel
-from perfbound.orchestrator.mathematics.gp.kernels import Floats, Matern, scaled
-=======
 from perfbound.orchestrator.mathematics.gp.distinct import DistinctPoints, OffNodeKernel
-from perfbound.orchestrator.mathematics.gp.kernels import Floats, Matern
->>>>>>> c1aa4192b85d62593e6f25ed989f74737a331cf4
+from perfbound.orchestrator.mathematics.gp.kernels import Floats, Matern, scaled
 from perfbound.orchestrator.mathematics.gp.lattice import PARTS, Lattice
 from perfbound.orchestrator.mathematics.gp.posterior import Posterior, SingularKernelError
 from perfbound.orchestrator.mathematics.gp.radial import Radial
