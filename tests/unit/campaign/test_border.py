@@ -273,6 +273,7 @@ def contents_of(directory: Path) -> list[tuple[Any, ...]]:
         return [row for query in queries for row in connection.execute(query).fetchall()]
 
 
+@pytest.mark.integration
 def test_a_discard_refuses_a_campaign_that_runs_and_one_that_finished_meanwhile(
     stuck: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

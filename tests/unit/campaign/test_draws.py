@@ -185,6 +185,7 @@ def test_a_distribution_of_another_unit_is_refused_before_the_campaign() -> None
     check(header().config, found.spec, "c.toml")
 
 
+@pytest.mark.integration
 def test_scipy_is_loaded_only_for_distributions() -> None:
     code = "import sys, perfbound.orchestrator.campaign.draws; sys.exit('scipy' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)

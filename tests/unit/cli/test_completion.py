@@ -22,6 +22,7 @@ def script(shell: str) -> str:
     return made.stdout
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("shell", SHELLS)
 def test_the_script_has_one_line_how_to_install_it(shell: str) -> None:
     lines = script(shell).splitlines()
@@ -30,6 +31,7 @@ def test_the_script_has_one_line_how_to_install_it(shell: str) -> None:
     assert shell != "zsh" or lines[0] == "#compdef perfbound"
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("shell", SHELLS)
 def test_a_shell_that_is_here_reads_the_script(shell: str, tmp_path: Path) -> None:
     if shutil.which(shell) is None:
@@ -38,6 +40,7 @@ def test_a_shell_that_is_here_reads_the_script(shell: str, tmp_path: Path) -> No
     subprocess.run([shell, "-n", tmp_path / "script"], check=True, capture_output=True)
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("words", "found"),
     [

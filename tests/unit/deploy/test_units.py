@@ -25,6 +25,7 @@ def installed(folder: Path, name: str) -> Path:
     return path
 
 
+@pytest.mark.integration
 @needs_systemd
 @pytest.mark.parametrize("name", NAMES)
 def test_a_unit_is_accepted_by_systemd(tmp_path: Path, name: str) -> None:
@@ -33,6 +34,7 @@ def test_a_unit_is_accepted_by_systemd(tmp_path: Path, name: str) -> None:
     assert (found.returncode, found.stderr) == (0, "")
 
 
+@pytest.mark.integration
 @needs_systemd
 @pytest.mark.parametrize("name", NAMES)
 def test_a_unit_has_few_rights(tmp_path: Path, name: str) -> None:

@@ -103,6 +103,7 @@ def test_an_error_at_the_end_is_none_of_the_campaign() -> None:
     within_patience(close)
 
 
+@pytest.mark.integration
 def test_a_signal_does_not_interrupt_the_end_of_a_link() -> None:
     closed = threading.Event()
 

@@ -109,6 +109,7 @@ def wait_for(condition: Callable[[], bool]) -> None:
         time.sleep(0.01)
 
 
+@pytest.mark.integration
 def test_a_rollout_that_hangs_is_ended_with_all_that_it_started_and_one_line_says_where(
     folder: Path, hung: Callable[[BaseException], None]
 ) -> None:
@@ -125,6 +126,7 @@ def test_a_rollout_that_hangs_is_ended_with_all_that_it_started_and_one_line_say
     assert not (folder / "out.mcap").exists()
 
 
+@pytest.mark.integration
 def test_a_program_that_hangs_is_ended_with_what_it_started(
     folder: Path, hung: Callable[[BaseException], None]
 ) -> None:
@@ -135,11 +137,13 @@ def test_a_program_that_hangs_is_ended_with_what_it_started(
     wait_for(lambda: gone(pid(folder)))
 
 
+@pytest.mark.integration
 def test_without_a_campaign_the_limit_is_the_default_of_one(folder: Path) -> None:
     assert WantedRollout("own.py:hangs", "0.5", "nominal", 7, None, ()).request()[2] == LIMIT == 600.0
     assert WantedRollout("waits.toml", "0.5", "nominal", 7, None, ()).request()[2] == 2.0, "its deadline"
 
 
+@pytest.mark.integration
 def test_a_stop_says_what_was_ended(folder: Path, hung: Callable[[BaseException], None]) -> None:
     hung(Stopped(signal.SIGINT))
     with pytest.raises(Stopped) as stopped:
@@ -180,6 +184,7 @@ def test_a_child_reads_all_trials_and_what_it_prints_is_read(monkeypatch: pytest
     assert (run.printed, run.ended, done) == ("says this", "", [0, 0])
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("starts", [partial(ask, "systems"), measured])
 def test_a_stop_while_a_child_starts_ends_the_child(
     starts: Callable[[], object], monkeypatch: pytest.MonkeyPatch
@@ -209,6 +214,7 @@ def test_a_stop_while_a_child_starts_ends_the_child(
     assert not left
 
 
+@pytest.mark.integration
 def test_the_end_of_a_process_is_named_with_its_code_and_what_it_printed_is_not_its_reason(folder: Path) -> None:
     spec, request, _ = WantedRollout("own.py:ends", "0.5", "nominal", 7, None, ()).request()
     printed: list[str] = []
@@ -218,6 +224,7 @@ def test_the_end_of_a_process_is_named_with_its_code_and_what_it_printed_is_not_
     assert printed == ["last words"]
 
 
+@pytest.mark.integration
 def test_a_file_that_does_not_end_when_it_is_loaded(folder: Path) -> None:
     (folder / "endless.py").write_text("import time\ntime.sleep(1000)\n")
     with pytest.raises(HangError, match=r"`workers spec` gave no answer within 0.1 s, and was ended.*; fix what does"):
@@ -230,6 +237,7 @@ def test_of_several_threads_the_one_of_the_rollout_is_named() -> None:
     assert place_of_stack(f"Fatal Python error: Aborted\n\n{other}{current}") == "/me/cars.py, line 7"
 
 
+@pytest.mark.integration
 def test_the_place_of_a_fault_in_a_campaign_file_is_named_once(folder: Path) -> None:
     (folder / "waits.toml").write_text(PROGRAM.replace("./waits.sh", "./no-such"))
     with pytest.raises(CampaignError) as refused:
@@ -237,6 +245,7 @@ def test_the_place_of_a_fault_in_a_campaign_file_is_named_once(folder: Path) -> 
     assert str(refused.value).startswith("waits.toml: system.program: there is no program './no-such'; build it")
 
 
+@pytest.mark.integration
 def test_another_build_is_named_by_what_differs(folder: Path) -> None:
     spec, request, _ = WantedRollout("waits.toml", "0.5", "nominal", 7, None, ()).request()
     (folder / "waits.sh").write_text("#!/bin/sh\n")
@@ -246,6 +255,7 @@ def test_another_build_is_named_by_what_differs(folder: Path) -> None:
         simulate_to(folder / "out.mcap", request, spec, "waits.toml")
 
 
+@pytest.mark.integration
 def test_text_on_the_standard_output_is_no_answer(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a library in C while it loads, and of Python's own start files: it was a traceback of the JSON reader."""
     own = (folder / "own.py").read_text()

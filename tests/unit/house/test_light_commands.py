@@ -8,9 +8,12 @@ import pytest
 
 from tests.campaigns import FOLDER
 
+pytestmark = pytest.mark.integration
+
 HEAVY = {"numpy", "scipy", "sklearn", "mcap", "matplotlib"}
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("command", ["status", "stop"])
 def test_what_is_called_while_a_campaign_runs_loads_no_numerical_library(command: str) -> None:
     program = "print(*{name.partition('.')[0] for name in sys.modules})"
@@ -30,6 +33,7 @@ finally:
 """
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("line", "fault"),
     [

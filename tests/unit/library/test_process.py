@@ -64,6 +64,7 @@ def test_a_thread_is_limited_while_another_one_has_set_the_number() -> None:
     assert found == [{1}, {2}]
 
 
+@pytest.mark.integration
 def test_a_fork_of_what_computes_in_a_thread_can_compute() -> None:
     entered, leave = threading.Event(), threading.Event()
 

@@ -75,6 +75,7 @@ class TestKernel:
         expected = ScikitMatern(length_scale, nu=nu)(origin, points)
         assert Matern(nu, length_scale)(distances).tobytes() == expected.tobytes()
 
+    @pytest.mark.integration
     def test_loads_no_scikit_learn(self) -> None:
         program = "import perfbound.orchestrator.run.session, perfbound.orchestrator.mathematics.gp.kernels as kernels"
         program += "; kernels.Matern(3.3, 1.0)(kernels.np.ones(2)); import sys; print('sklearn' in sys.modules)"

@@ -134,6 +134,7 @@ def test_a_stream_without_a_change_stays_open(port: int) -> None:
             ends(client)
 
 
+@pytest.mark.integration
 def test_more_connections_than_files_are_one_line(directory: Path, tmp_path: Path) -> None:
     """The event loop itself would print a traceback for each of them, thousands of times a second."""
     shown = tmp_path / "shown"

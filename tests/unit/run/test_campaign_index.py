@@ -87,6 +87,7 @@ def test_it_has_what_the_list_has_and_what_is_required(folder: Path, made: Path)
     assert (stopped.so_far.split()[0], good.so_far) == (">=", "")
 
 
+@pytest.mark.integration
 def test_only_what_changed_is_read_again(folder: Path, reads: Reads) -> None:
     index = CampaignIndex(folder, pytest.fail)
     index.refresh(60.0)

@@ -308,6 +308,7 @@ def test_workers_beyond_the_most_are_one_line(tmp_path: Path, monkeypatch: pytes
 # Local workers
 
 
+@pytest.mark.integration
 def test_a_process_that_a_message_claims_is_not_ended(tmp_path: Path) -> None:
     """A worker that hangs, and that names this host and the process of a local worker, which is its host's own."""
     begin(tmp_path / "run", a_config())

@@ -58,6 +58,7 @@ def test_others_are_let_in_only_when_that_is_said(host: str) -> None:
         assert address.port > 0
 
 
+@pytest.mark.integration
 def test_a_port_that_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("perfbound.orchestrator.run.address.PATIENCE", 0.1)
     first, address = bind(Address(), insecure=False)
@@ -135,6 +136,7 @@ def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Opened:
     return page
 
 
+@pytest.mark.integration
 def test_a_child_that_takes_nothing_holds_nothing_up(
     opened: Opened, status: RunStatus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -146,6 +148,7 @@ def test_a_child_that_takes_nothing_holds_nothing_up(
         assert said(page) == []
 
 
+@pytest.mark.integration
 def test_a_child_that_ends_is_said_once(opened: Opened, status: RunStatus, tmp_path: Path) -> None:
     with opened("echo something is wrong >&2; exit 3") as page:
         page.announce()
@@ -161,6 +164,7 @@ def test_a_child_that_ends_is_said_once(opened: Opened, status: RunStatus, tmp_p
         assert said(page) == lines
 
 
+@pytest.mark.integration
 def test_whatever_cannot_be_told_is_no_end_of_a_run(
     opened: Opened, status: RunStatus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -174,6 +178,7 @@ def test_whatever_cannot_be_told_is_no_end_of_a_run(
         assert said(page) == [line]
 
 
+@pytest.mark.integration
 def test_of_a_page_that_was_not_announced_nothing_is_said(opened: Opened, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its run has not begun: the fault is its only line, and comes at once."""
     monkeypatch.setattr(live, "GRACE", PATIENCE)

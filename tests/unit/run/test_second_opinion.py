@@ -151,6 +151,7 @@ def test_the_key_changes_neither_seeds_nor_numbers_and_the_number_of_workers_not
     assert faults(tmp_path / "3") == []
 
 
+@pytest.mark.integration
 def test_of_a_worker_that_lies_from_its_first_result_nothing_is_recorded(tmp_path: Path) -> None:
     config, log, directory = a_config(second_opinion=1.0), Log(), tmp_path / "run"
     begin(directory, config)
@@ -256,6 +257,7 @@ def false_rollouts(directory: Path, calm: Path) -> set[str]:
     return {rollout for rollout, sha256 in recorded(directory).items() if right.get(rollout, sha256) != sha256}
 
 
+@pytest.mark.integration
 def test_after_a_vote_without_majority_no_resume_lets_the_liar_agree_with_itself(tmp_path: Path) -> None:
     config, directory, heard = a_config(second_opinion=1.0), tmp_path / "run", threading.Event()
     calm = campaign(tmp_path / "calm", config)
@@ -341,6 +343,7 @@ class Awaiting(Log):
             self._event.set()
 
 
+@pytest.mark.integration
 def test_after_a_resume_the_worker_that_reports_first_does_not_end_the_vote(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

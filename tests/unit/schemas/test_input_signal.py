@@ -159,6 +159,7 @@ def test_requests_say_which_numbers_are_knots_and_others_stay_what_they_were() -
     assert request.words(template.spec).startswith("throttle_0 = 0, throttle_1 = 0.5, throttle_2 = 1, gap = 30")
 
 
+@pytest.mark.integration
 def test_linear_and_constant_need_no_scipy() -> None:
     """A worker takes half a second longer with it."""
     code = (

@@ -36,6 +36,7 @@ def test_the_file_is_made_once_and_for_this_user_alone(tmp_path: Path) -> None:
     assert [each.name for each in path.parent.iterdir()] == ["secret"]
 
 
+@pytest.mark.integration
 def test_processes_that_race_agree(tmp_path: Path) -> None:
     code = (
         "import sys; from perfbound.schemas.secret import user_secret; sys.stdin.read(); print(user_secret().decode())"

@@ -173,6 +173,7 @@ def test_a_busy_worker_ends_with_its_run_and_delivers_nothing(begun: threading.E
     assert (running.ended(), wire.results) == ("finished", [])
 
 
+@pytest.mark.integration
 def test_an_attempt_begins_and_ends_with_a_heartbeat_whatever_the_interval(begun: threading.Event) -> None:
     """An assignment that no heartbeat confirms is sent again, and an idle worker waits for none."""
     wire = Wire()
@@ -189,6 +190,7 @@ def test_an_attempt_begins_and_ends_with_a_heartbeat_whatever_the_interval(begun
     running.worker.receive(Release())
 
 
+@pytest.mark.integration
 def test_a_worker_that_leaves_waits_for_its_dismissal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "DISMISSAL", 2 * PATIENCE)
     wire = Wire()
@@ -213,6 +215,7 @@ def test_without_an_orchestrator_a_worker_leaves_all_the_same(monkeypatch: pytes
     assert running.ended() == "left"
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("by_signal", [True, False])
 def test_what_fails_as_the_signal_comes_is_handed_back(monkeypatch: pytest.MonkeyPatch, *, by_signal: bool) -> None:
     """A scheduler sends it to every process of a job, also to the programs of a system."""
@@ -238,6 +241,7 @@ def test_what_fails_as_the_signal_comes_is_handed_back(monkeypatch: pytest.Monke
     assert {each.outcome for each in wire.results} == {"handed_back" if by_signal else "failed"}
 
 
+@pytest.mark.integration
 def test_a_rollout_is_handed_back_once_and_its_result_is_dropped(begun: threading.Event) -> None:
     wire = Wire()
     running = Running(wire)

@@ -12,6 +12,8 @@ import pytest
 from perfbound.schemas.stop_signals import END_FAMILY
 from tests.patience import PATIENCE
 
+pytestmark = pytest.mark.integration
+
 BEGIN = """
 import os, signal, subprocess, sys, time
 from perfbound.workers.guardian import become_guarded
@@ -46,6 +48,7 @@ class Guarded:
             return self.process.wait(PATIENCE)
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("code", "expected"),
     [("", 0), ("sys.exit(3)", 3), ("os.kill(os.getpid(), signal.SIGSEGV)", -signal.SIGSEGV), ("os.abort()", -6)],
@@ -56,6 +59,7 @@ def test_it_ends_as_its_worker_does(code: str, expected: int) -> None:
     assert found.left == 0
 
 
+@pytest.mark.integration
 def test_what_is_left_is_ended_and_counted() -> None:
     found = Guarded("for _ in range(3): daemon(1000)\nsubprocess.Popen(['sleep', '1000'])\nprint('there', flush=True)")
     found.wait_for_line()
@@ -63,12 +67,14 @@ def test_what_is_left_is_ended_and_counted() -> None:
     assert found.left == 4
 
 
+@pytest.mark.integration
 def test_what_ends_by_itself_is_not_counted() -> None:
     found = Guarded("daemon(0.1)")
     assert found.wait() == 0
     assert found.left == 0
 
 
+@pytest.mark.integration
 def test_no_zombie_stays_while_the_worker_lives() -> None:
     found = Guarded("for _ in range(20): daemon(0)\ntime.sleep(0.5)\nprint('there', flush=True)\ntime.sleep(1000)")
     found.wait_for_line()
@@ -78,6 +84,7 @@ def test_no_zombie_stays_while_the_worker_lives() -> None:
     assert found.wait() == -signal.SIGKILL
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(("number", "expected"), [(signal.SIGTERM, -signal.SIGTERM), (END_FAMILY, -signal.SIGKILL)])
 def test_signals_reach_the_worker(number: signal.Signals, expected: int) -> None:
     found = Guarded("daemon(1000)\nprint('there', flush=True)\ntime.sleep(1000)")
@@ -87,6 +94,7 @@ def test_signals_reach_the_worker(number: signal.Signals, expected: int) -> None
     assert found.left == 1
 
 
+@pytest.mark.integration
 def test_it_does_not_outlive_the_process_that_started_it(tmp_path: Path) -> None:
     code = f"{BEGIN}daemon(1000)\nprint(os.getpid(), flush=True)\ntime.sleep(1000)"
     parent = f"import subprocess, sys, time; subprocess.Popen([sys.executable, '-c', {code!r}, '1']); time.sleep(1000)"

@@ -27,6 +27,7 @@ def of(modules: list[str], *packages: str) -> list[str]:
     return [name for name in modules if any(name == each or name.startswith(f"{each}.") for each in packages)]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("arguments", "works"),
     [
@@ -45,6 +46,7 @@ def test_a_worker_loads_no_database_no_learning_library_and_no_orchestrator(
     assert of(modules, *FORBIDDEN) == []
 
 
+@pytest.mark.integration
 def test_importing_the_package_loads_no_other_module_of_it() -> None:
     assert of(loaded("import perfbound"), "perfbound") == ["perfbound"]
 

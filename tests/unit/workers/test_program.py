@@ -24,6 +24,8 @@ from perfbound.workers.systems.files import load_reference
 from perfbound.workers.systems.program import PREFIX, ProgramSystem, load_program, read_samples
 from tests.end_to_end.processes import wait_for
 
+pytestmark = pytest.mark.integration
+
 CAMPAIGN = """
 name = "p"
 seed = 1
@@ -46,8 +48,6 @@ kernel = { nu = 2.5, length_scale = 1.0 }
 """
 STAYS = """
 import json, os, sys, time
-
-pytestmark = pytest.mark.integration
 rollouts = 0
 for line in sys.stdin:
     rollouts += 1
