@@ -308,6 +308,7 @@ def test_a_rollout_that_is_discarded_is_no_suspect_and_contradicts_nothing(stuck
         assert ODD not in journal.attempts.suspects()
 
 
+@pytest.mark.rest
 def test_both_rollouts_of_a_pair_may_be_discarded(stuck: Path) -> None:
     discard_rollout(stuck, str(PARTNER), "one of the two")
     discard_rollout(stuck, str(ODD), "the other one")

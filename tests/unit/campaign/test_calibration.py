@@ -56,6 +56,7 @@ def test_the_budget_is_spent_and_not_exceeded(rollouts: int, noisy: bool) -> Non
     assert found.starts >= 32
 
 
+@pytest.mark.rest
 def test_starts_are_distinct_in_the_region_and_nested() -> None:
     box = Box(("x", "y"), np.array([0.0, -3.0]), np.array([5.0, 3.0]), "x^2 + y^2 <= 16")
     starts = box.space_filling(200, 1)
@@ -131,6 +132,7 @@ def result(tmp_path: Path, text: str, *, noisy: bool, **more: Any) -> Calibratio
     return with_file(Calibration(wish, draft, system, pilot.clip, (proposal,), (), None))
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("noisy", [False, True])
 def test_every_constant_has_a_reason_and_the_file_has_all_of_them(tmp_path: Path, noisy: bool) -> None:
     found = result(tmp_path, HEAD, noisy=noisy)
@@ -183,6 +185,7 @@ def gentle(z: Floats) -> Floats:
     return np.asarray(1.0 + 0.5 * np.sin(z[:, 0] / 2) * np.cos(z[:, 1] / 3))
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("noisy", [False, True])
 def test_a_planned_method_gets_its_budget_from_the_bounds_of_several(tmp_path: Path, noisy: bool) -> None:
     found = result(tmp_path, f'method = "kriging"\n{COARSE}', noisy=noisy, function=gentle)
@@ -214,6 +217,7 @@ def test_a_planned_method_gets_its_budget_from_the_bounds_of_several(tmp_path: P
         assert finer["resolution"] == 41, "where the draft gives none"
 
 
+@pytest.mark.rest
 def test_another_method_is_named_where_it_may_be_expected_to_prove_more(tmp_path: Path) -> None:
     (compared,) = result(tmp_path, COARSE, noisy=True, function=gentle).instead
     assert compared.kriging.low <= compared.kriging.middle <= compared.kriging.high
@@ -233,6 +237,7 @@ def test_a_budget_is_divided_into_tests_of_whole_rollouts(rollouts: int, paramet
     assert tests >= 50
 
 
+@pytest.mark.rest
 def test_the_file_replaces_constants_and_keeps_the_rest(tmp_path: Path) -> None:
     text = f"seed = 7\nalpha = 0.2\nrkhs_norm = 99\nkernel = {{ length_scale = 9.0 }}\nmax_tests = 7\n{HEAD}"
     found = result(tmp_path, text, noisy=False)
@@ -246,6 +251,7 @@ def test_the_file_replaces_constants_and_keeps_the_rest(tmp_path: Path) -> None:
     assert "From the file." in found.text
 
 
+@pytest.mark.rest
 def test_a_jump_gives_a_campaign_of_drawn_starts_with_the_evidence(tmp_path: Path) -> None:
     found = result(tmp_path, HEAD, noisy=False, function=lambda z: function(z) - (z[:, 0] > 4.6))
     assert not found.trusted
@@ -256,6 +262,7 @@ def test_a_jump_gives_a_campaign_of_drawn_starts_with_the_evidence(tmp_path: Pat
     assert "rkhs_norm" not in found.text
 
 
+@pytest.mark.rest
 def test_values_that_a_budget_repeats_replace_the_doubted_ones(tmp_path: Path) -> None:
     measured = result(tmp_path, f"clip = [-1, 3]\n{HEAD}", noisy=True).problems[0].measured
     assert len(measured.again) == DOUBTED
@@ -318,6 +325,7 @@ def test_the_plan_of_a_draft_has_no_limit_for_noise(tmp_path: Path) -> None:
     assert json.dumps(plan.clip) == json.dumps(list(CLIP))
 
 
+@pytest.mark.rest
 def test_falls_that_no_standard_deviation_bounds_take_their_scale_from_the_clip(tmp_path: Path) -> None:
     text = f"clip = [-30, 3]\n{HEAD}"
     measured = result(tmp_path, text, noisy=True).problems[0].measured
@@ -332,6 +340,7 @@ def test_falls_that_no_standard_deviation_bounds_take_their_scale_from_the_clip(
     assert "no multiple of one bounds such falls. R = " in falling.reason
 
 
+@pytest.mark.rest
 def test_a_plan_that_proves_nothing_names_the_other_method(tmp_path: Path) -> None:
     (guess,) = result(tmp_path, f'method = "kriging"\n{COARSE}', noisy=True, function=gentle).forecasts
     assert isinstance(guess, BudgetForecast)

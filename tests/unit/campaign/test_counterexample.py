@@ -97,6 +97,7 @@ def test_of_noisy_rollouts_the_worst_of_the_test_is_named(tmp_path: Path) -> Non
     assert list(counterexample["start"].values()) in LIST["scenarios"]
 
 
+@pytest.mark.rest
 def test_without_one_the_campaign_is_the_usual_one(tmp_path: Path) -> None:
     safe = robustness(EXACT, max_tests=4), robustness(EXACT, max_tests=4, **UNTIL)
     usual, found = (

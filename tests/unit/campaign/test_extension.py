@@ -114,6 +114,7 @@ def edit(directory: Path, statement: str) -> None:
         connection.commit()
 
 
+@pytest.mark.rest
 def test_a_budget_beyond_all_starts_is_cut_with_its_reason_and_may_be_repeated(before: Path) -> None:
     fact = extend(before, 700)
     assert fact == ExtensionFact(1, (("robustness", 81),))
@@ -191,6 +192,7 @@ def test_a_second_extension_has_checks_of_its_own_and_half_their_level(run: Path
     assert not verified(run)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("workers", [1, 4])
 def test_stops_and_workers_change_nothing(before: Path, run: Path, workers: int) -> None:
     seen = 0
@@ -205,6 +207,7 @@ def test_stops_and_workers_change_nothing(before: Path, run: Path, workers: int)
     assert simulate(before, campaign(), wave, noisy=False, workers=workers) == text(run)
 
 
+@pytest.mark.rest
 def test_a_noisy_problem_keeps_its_window(tmp_path: Path) -> None:
     config = campaign(NOISY, clip=[-1, 1], window=3, max_tests=5, spot_check_followups=4)
     simulate(tmp_path / "run", config, shaken, noisy=True)
@@ -223,6 +226,7 @@ def test_drawn_starts_whose_bounds_hold_after_every_sample(tmp_path: Path) -> No
     assert not verified(tmp_path / "run")
 
 
+@pytest.mark.rest
 def test_requirements_share_an_extension(tmp_path: Path) -> None:
     parts = [{"name": "high", "formula": "value >= 0.0"}, {"name": "low", "formula": "value <= 2.0"}]
     config = campaign(EXACT | {"rkhs_norm": 9.0}, specification=None, specifications=parts)
@@ -397,6 +401,7 @@ def test_an_extension_that_never_was_is_found(before: Path) -> None:
     assert "stop" in forged(before, lambda assumptions: [*assumptions, line])
 
 
+@pytest.mark.rest
 def test_the_chain_covers_the_extension(before: Path) -> None:
     """One step and two may have the same rollouts, where nothing is checked in between; never the same chain."""
     config = campaign(spot_check=0, recheck=0)

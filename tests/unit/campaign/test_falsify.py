@@ -123,6 +123,7 @@ def test_a_search_finds_a_hidden_failure_with_every_method_and_the_certificate_v
     assert len(Collector(tmp_path).refresh().problems[0].tests.y) < 60
 
 
+@pytest.mark.rest
 def test_samples_are_the_drawn_starts_alone(tmp_path: Path) -> None:
     config = sought({"method": "sample"})
     simulate(tmp_path, config, safe, noisy=False)
@@ -154,6 +155,7 @@ def test_a_counterexample_before_the_first_sample_ends_the_campaign_with_the_bou
     assert verified(tmp_path) == []
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("problem", [{"method": "sample"}, NOISY])
 def test_a_stop_and_the_number_of_workers_change_no_byte(tmp_path: Path, problem: dict[str, Any]) -> None:
     config = sought(problem, window=3, resolution=31, max_tests=24)
@@ -177,6 +179,7 @@ def test_without_noise_no_start_is_tested_twice(tmp_path: Path) -> None:
     assert len(nodes) == len(set(nodes)) > 10
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     "space",
     [
@@ -201,6 +204,7 @@ def test_a_searched_start_is_one_of_the_space(tmp_path: Path, space: dict[str, A
     assert verified(tmp_path) == []
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("problem", [{"method": "sample"}, NOISY])
 def test_tests_of_another_machine_are_followed_and_those_of_nobody_are_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, problem: dict[str, Any]
@@ -235,6 +239,7 @@ def test_a_file_that_seeks_needs_no_constants_and_twelve_lines(keys: str, method
     assert found.until_counterexample
 
 
+@pytest.mark.rest
 def test_a_searched_start_is_in_the_region(tmp_path: Path) -> None:
     where = "z1 + z2 <= 0.4"  # without the middle of the box
     simulate(tmp_path, sought({"method": "sample"}, where=where, max_tests=24), safe, noisy=False)

@@ -54,6 +54,7 @@ def noisy_narrow(request: RolloutRequest) -> float:
     return narrow(request) + (0.001 * noise(request.seed) if request.variant == "true" else 0.0)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("noisy", [False, True])
 def test_a_gap_that_does_not_dominate_at_a_fresh_start_refutes_the_composed_claim(
     tmp_path: Path, *, noisy: bool
@@ -76,6 +77,7 @@ def test_a_gap_that_does_not_dominate_at_a_fresh_start_refutes_the_composed_clai
     assert verdict_of(tmp_path, stored_header(tmp_path), certificate).verdict == "NOT SHOWN"
 
 
+@pytest.mark.rest
 def test_a_gap_that_dominates_is_not_refuted(tmp_path: Path) -> None:
     system = spec(noisy=False).model_copy(update={"variants": ("nominal", "true")})
     config = composed(gap={"kind": "signal_sup", "column": "value", "lipschitz": 8.0})
@@ -90,6 +92,7 @@ def rare_fall(request: RolloutRequest) -> float:
     return -1000.0 if 0.43 < request.x[0] < 0.47 else 0.3 + 0.05 * noise(request.seed)
 
 
+@pytest.mark.rest
 def test_values_that_the_clip_hides_at_fresh_starts_are_said_beside_the_claim(tmp_path: Path) -> None:
     config = robustness(
         {**RIGOROUS, "noise_scale": 0.6, "replicates": 4}, clip=[-0.2, 1.0], max_tests=8, spot_check_followups=0
@@ -120,6 +123,7 @@ def test_a_clip_many_times_the_noise_hides_no_fresh_start(tmp_path: Path) -> Non
     assert checked["start"] is not None
 
 
+@pytest.mark.rest
 def test_of_most_starts_nothing_is_claimed_that_the_clip_alone_proves(tmp_path: Path) -> None:
     """On a fifth of the box the robustness is far below the clip."""
 
@@ -130,6 +134,7 @@ def test_of_most_starts_nothing_is_claimed_that_the_clip_alone_proves(tmp_path: 
     assert predicate(simulate(tmp_path, config, cliff, noisy=False))["spot_check"]["most_starts"] is None
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("noisy", [False, True])
 def test_what_is_claimed_of_means_at_most_starts_names_the_clip(tmp_path: Path, *, noisy: bool) -> None:
     """A value above the lower clip is the value itself; a mean of such values is not."""

@@ -59,6 +59,7 @@ def statuses(found: Predicate) -> dict[str, str]:
 
 
 class TestCampaigns:
+    @pytest.mark.rest
     def test_the_claim_is_between_the_assumption_and_the_truth(self, tmp_path: Path) -> None:
         simulate(tmp_path, a_campaign(spot_check=10, spot_check_followups=4, recheck=2), shaky, noisy=True)
         found = predicate(tmp_path)
@@ -82,6 +83,7 @@ class TestCampaigns:
         assert notes(found, 0)[0].startswith("Without any rollout B and the prior mean prove 0.2000")
         assert not verified(tmp_path)
 
+    @pytest.mark.rest
     def test_the_report_has_the_band_of_all_cells_and_no_tolerance(self, tmp_path: Path) -> None:
         simulate(tmp_path, a_campaign(), shaky, noisy=True)
         (problem,) = Collector(tmp_path).refresh().problems
@@ -95,6 +97,7 @@ class TestCampaigns:
         assert (problem.alpha, problem.left) == (None, None)
         assert problem.tests.distance == (None,) * 40
 
+    @pytest.mark.rest
     def test_a_norm_that_is_too_small_ends_the_campaign_refuted(self, tmp_path: Path) -> None:
         def steep(request: RolloutRequest) -> float:
             return 0.1 + 0.8 * request.x[0] + 0.01 * min(max(noise(request.seed), -3.0), 3.0)
@@ -107,6 +110,7 @@ class TestCampaigns:
         assert "rkhs_norm/robustness" in found.claims[0].refuted
         assert not verified(tmp_path)
 
+    @pytest.mark.rest
     def test_requirements_share_the_planned_tests(self, tmp_path: Path) -> None:
         listed = [
             {"name": "low", "formula": "value >= 0"},
@@ -123,6 +127,7 @@ class TestCampaigns:
         assert [each.tests for each in found.problems] == [40, 40]
         assert not verified(tmp_path)
 
+    @pytest.mark.rest
     def test_a_counterexample_ends_it_with_the_bound_of_that_moment(self, tmp_path: Path) -> None:
         def falls(request: RolloutRequest) -> float:
             return -0.05 if noise(request.seed) < -2.2 else shaky(request)
@@ -149,6 +154,7 @@ def finished(directory: Path, config: CampaignConfig) -> Predicate:
 
 
 class TestTwoSystems:
+    @pytest.mark.rest
     def test_the_risk_is_bounded_through_its_expectation(self, tmp_path: Path) -> None:
         risk = KRIGING | {"name": "true_risk", "prior_mean": 0.0, "linearised": {"centre": 0.05, "spread": 0.03}}
         found = finished(tmp_path / "run", two_systems([risk | {"kernel": {"length_scale": 3.0}}]))
@@ -160,6 +166,7 @@ class TestTwoSystems:
         assert claim.by_clip is not None
         assert claim.bound >= claim.by_clip
 
+    @pytest.mark.rest
     def test_the_gap_composes_with_a_rigorous_nominal_bound(self, tmp_path: Path) -> None:
         shared = {"rkhs_norm": 0.1, "kernel": {"nu": 2.5, "length_scale": 3.0}}
         nominal = {"name": "nominal_robustness", "method": "rigorous", "alpha": 0.01, "noise_scale": "derived"}
@@ -209,6 +216,7 @@ def test_what_it_cannot_do_is_refused_with_a_remedy(
     assert message in str(raised.value)
 
 
+@pytest.mark.rest
 def test_length_scales_and_points_have_defaults(tmp_path: Path) -> None:
     without = {key: value for key, value in KRIGING.items() if key not in {"kernel", "spread"}}
     found = completed({"method": "kriging", "rkhs_norm": 1.0, "space": {"z1": [0, 1], "z2": [0, 4]}}, "box")

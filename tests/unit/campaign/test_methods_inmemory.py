@@ -64,6 +64,7 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     hurry(monkeypatch, tick=0.002)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("method", CONFIGS)
 def test_workers_losses_and_resumes_change_nothing(tmp_path: Path, method: str) -> None:
     config = CONFIGS[method]
@@ -96,6 +97,7 @@ def predicate(tmp_path: Path, config: CampaignConfig) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.rest
 def test_a_rigorous_bound_holds_and_ends_with_the_budget(tmp_path: Path) -> None:
     found = predicate(tmp_path, rigorous())
     (problem,), (claim,) = found["problems"], found["claims"]

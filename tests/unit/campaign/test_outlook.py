@@ -126,6 +126,7 @@ def wave(request: RolloutRequest) -> float:
     return 0.7 + 0.4 * math.sin(4 * z1) * math.cos(3 * z2)
 
 
+@pytest.mark.rest
 def test_terminal_status_and_page_show_one_forecast(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("os.fsync", lambda _: None)
     config = robustness(RIGOROUS, max_tests=30, spot_check=0, recheck=0)
@@ -152,6 +153,7 @@ def noisy_wave(request: RolloutRequest) -> float:
     return wave(request) + (0.1 if request.seed % 2 else -0.1)
 
 
+@pytest.mark.rest
 def test_a_planned_campaign_has_one_forecast_in_all_places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("os.fsync", lambda _: None)
     config = robustness(KRIGING, max_tests=60, replicates=4, resolution=9, clip=(-1, 2), spot_check=0, recheck=0)

@@ -59,6 +59,7 @@ def finished(directory: Path) -> Certificate:
     return found
 
 
+@pytest.mark.rest
 def test_a_noise_scale_that_is_refuted_ends_the_campaign(tmp_path: Path) -> None:
     simulate(tmp_path / "stop", noisy(**STOP), loud, noisy=True)
     simulate(tmp_path / "continue", noisy(), loud, noisy=True)
@@ -76,6 +77,7 @@ def test_a_noise_scale_that_is_refuted_ends_the_campaign(tmp_path: Path) -> None
     assert verified(tmp_path / "continue") == []
 
 
+@pytest.mark.rest
 def test_it_ends_at_the_first_test_that_refutes_however_many_workers_there_are(tmp_path: Path) -> None:
     found = certificates(tmp_path, noisy(**STOP), loud, noisy=True, cut_after=9)
     assert len(found) == 1

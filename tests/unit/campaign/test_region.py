@@ -121,6 +121,7 @@ def test_starts_in_a_region_stay_what_they_were() -> None:
     assert [tuple(start) for start in drawn(2).tolist()] == GOLDEN
 
 
+@pytest.mark.rest
 def test_every_start_is_in_the_region_and_follows_the_distribution_there() -> None:
     """The seed is fixed; at another one a correct program fails in at most one of 1,000."""
     starts = drawn(10_000)
@@ -134,6 +135,7 @@ def test_every_start_is_in_the_region_and_follows_the_distribution_there() -> No
     assert stats.kstest(half, lambda x: (law.cdf(x) - ends[0]) / (ends[1] - ends[0])).pvalue > 0.001 / 4
 
 
+@pytest.mark.rest
 @settings(max_examples=20, deadline=None)
 @given(numbers=st.lists(st.integers(0, 3 * BLOCK), min_size=1, max_size=10))
 def test_the_order_in_which_starts_are_asked_for_changes_none(numbers: list[int]) -> None:
@@ -158,6 +160,7 @@ def test_a_region_of_almost_nothing_ends_with_one_line(monkeypatch: pytest.Monke
 # The file
 
 
+@pytest.mark.rest
 def test_the_share_of_the_region_is_checked_at_load() -> None:
     check_where(BOX, "x > 0.99", "c.toml")
     check_where(NORMAL, DISC, "c.toml")
@@ -208,6 +211,7 @@ def test_where_a_region_is_refused(space: str, method: str, words: str) -> None:
         parsed(f'{space}\nwhere = "x <= 1"', method)
 
 
+@pytest.mark.rest
 def test_a_campaign_on_a_region_verifies(tmp_path: Path) -> None:
     found = campaign({"method": "sample"}, max_tests=60, where="z1 + z2 <= 1", clip=(-1.0, 1.0))
     assert simulate(tmp_path, found, lambda request: 0.5 - request.x[0] * request.x[1], noisy=False)

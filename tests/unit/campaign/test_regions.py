@@ -92,6 +92,7 @@ def rewritten(directory: Path, rows: list[str], **changed: float) -> None:
 
 
 class TestCertificate:
+    @pytest.mark.rest
     def test_the_shares_are_those_of_the_table(self, original: Path) -> None:
         found = certificate(original).predicate.regions
         assert found is not None
@@ -146,6 +147,7 @@ class TestCertificate:
         assert NONE in printed(tmp_path / "run")
         assert verified(tmp_path / "run") == []
 
+    @pytest.mark.rest
     def test_a_fresh_start_with_another_sign_refutes_the_norm(self, tmp_path: Path) -> None:
         config = robustness(EXACT, regions=True, **CHECKS | {"spot_check": 600})
         text = simulate(tmp_path / "run", config, gone, noisy=False)
@@ -155,6 +157,7 @@ class TestCertificate:
         assert "REFUTED: " in printed(tmp_path / "run").split("Regions")[1]
         assert verified(tmp_path / "run") == []
 
+    @pytest.mark.rest
     def test_noise_and_a_stop_by_hand(self, tmp_path: Path) -> None:
         problem = EXACT | {"noise_scale": 0.02, "kernel": {"nu": 2.5, "length_scale": 1.0}, "rkhs_norm": 3.0}
         config = robustness(problem, regions=True, clip=[-1, 1], **CHECKS)
@@ -245,18 +248,22 @@ class TestFile:
 
 
 class TestVerify:
+    @pytest.mark.rest
     def test_an_honest_campaign_passes(self, original: Path) -> None:
         assert verified(original) == []
 
+    @pytest.mark.rest
     def test_an_edited_table(self, campaign: Path) -> None:
         path = campaign / files.REGIONS
         path.write_bytes(path.read_bytes().replace(b"undecided", b"safe", 1))
         assert verified(campaign) == ["regions"]
 
+    @pytest.mark.rest
     def test_a_missing_table(self, campaign: Path) -> None:
         (campaign / files.REGIONS).unlink()
         assert verified(campaign) == ["regions"]
 
+    @pytest.mark.rest
     def test_a_share_of_a_table_that_fits_it_and_not_the_evidence(self, campaign: Path) -> None:
         header, *rows = (campaign / files.REGIONS).read_text().splitlines()
         found = certificate(campaign).predicate.regions
@@ -268,6 +275,7 @@ class TestVerify:
         rewritten(campaign, [header, *rows], safe=grown, undecided=1.0 - grown - found.unsafe)
         assert verified(campaign) == ["regions"]
 
+    @pytest.mark.rest
     def test_a_claim_with_another_share(self, campaign: Path) -> None:
         text = (campaign / files.CERTIFICATE).read_text()
         value = json.loads(text)
@@ -275,6 +283,7 @@ class TestVerify:
         (campaign / files.CERTIFICATE).write_text(Certificate.model_validate_json(json.dumps(value)).to_json())
         assert verified(campaign) == ["regions"]
 
+    @pytest.mark.rest
     def test_without_regions_in_the_certificate(self, campaign: Path) -> None:
         value = json.loads((campaign / files.CERTIFICATE).read_text())
         del value["predicate"]["regions"]
@@ -282,6 +291,7 @@ class TestVerify:
         (campaign / files.CERTIFICATE).write_text(Certificate.model_validate_json(json.dumps(value)).to_json())
         assert "regions" in verified(campaign)
 
+    @pytest.mark.rest
     def test_round_off_of_another_cpu_passes(self, campaign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         """This CPU proves with a little less margin what the recorded one did not, or the other way round."""
         honest = regions.divided

@@ -4,6 +4,7 @@ import itertools
 from typing import Any
 
 import numpy as np
+import pytest
 
 from perfbound.orchestrator.campaign import rehearsal
 from perfbound.orchestrator.campaign.plan import ProblemPlan, plan
@@ -58,6 +59,7 @@ def test_the_same_pilot_gives_the_same_tests() -> None:
     assert first == second
 
 
+@pytest.mark.rest
 def test_a_rehearsal_ends_with_its_time_and_is_continued_by_the_forecast() -> None:
     planned, header = problem("test-function-rigorous")
     ticks = itertools.count()

@@ -68,6 +68,7 @@ def certificate(directory: Path) -> Certificate:
     return found
 
 
+@pytest.mark.rest
 def test_every_requirement_has_its_claim_after_that_of_all(tmp_path: Path) -> None:
     simulate(tmp_path, several(spot_check=20), plane, noisy=False)
     found = certificate(tmp_path).predicate
@@ -112,6 +113,7 @@ def test_each_requirement_is_computed_with_other_constants_from_its_own_values(t
     assert double == pytest.approx(2 * low, abs=0.05)
 
 
+@pytest.mark.rest
 def test_a_norm_that_is_too_small_refutes_its_requirement_and_the_whole(tmp_path: Path) -> None:
     requirements = [THREE[0], {**THREE[1], "rkhs_norm": 0.3}]
     text = simulate(tmp_path, several(requirements), plane, noisy=False)
@@ -124,6 +126,7 @@ def test_a_norm_that_is_too_small_refutes_its_requirement_and_the_whole(tmp_path
     assert not verified(tmp_path)
 
 
+@pytest.mark.rest
 def test_a_fresh_start_that_violates_one_bound_refutes_that_one(tmp_path: Path) -> None:
     def hole(request: RolloutRequest) -> float:
         x, y = request.x
@@ -136,6 +139,7 @@ def test_a_fresh_start_that_violates_one_bound_refutes_that_one(tmp_path: Path) 
     assert not verified(tmp_path)
 
 
+@pytest.mark.rest
 def test_noisy_requirements_each_have_the_whole_delta(tmp_path: Path) -> None:
     config = several(problem=NOISY, clip=(-1.0, 2.0), replicates=2, max_tests=30, spot_check=20)
     text = simulate(tmp_path, config, shaky, noisy=True)
@@ -146,6 +150,7 @@ def test_noisy_requirements_each_have_the_whole_delta(tmp_path: Path) -> None:
     assert not verified(tmp_path)
 
 
+@pytest.mark.rest
 def test_scenarios_serve_every_requirement(tmp_path: Path) -> None:
     config = robustness(
         {"method": "scenario", "alpha": 0.2},
@@ -163,6 +168,7 @@ def test_scenarios_serve_every_requirement(tmp_path: Path) -> None:
     assert not verified(tmp_path)
 
 
+@pytest.mark.rest
 def test_workers_and_a_stop_in_between_change_no_byte(tmp_path: Path) -> None:
     config = several(problem=NOISY, clip=(-1.0, 2.0), replicates=2, max_tests=20, window=3, spot_check=10, recheck=2)
     assert len(certificates(tmp_path, config, shaky, noisy=True, cut_after=25)) == 1

@@ -170,6 +170,7 @@ def test_a_risk_below_the_bound_is_said_with_every_rollout(tmp_path: Path) -> No
     assert not verified(tmp_path)
 
 
+@pytest.mark.rest
 def test_a_risk_that_keeps_the_bound_is_not_said_to_be_below(tmp_path: Path) -> None:
     found = run(tmp_path, ODD)
     problem = checked(found)
@@ -184,6 +185,7 @@ def test_a_risk_that_keeps_the_bound_is_not_said_to_be_below(tmp_path: Path) -> 
     assert not verified(tmp_path)
 
 
+@pytest.mark.rest
 def test_workers_and_stops_change_no_byte(tmp_path: Path) -> None:
     def stop(request: RolloutRequest) -> bool:
         return request.rollout.startswith("risk_check.4.")
@@ -211,6 +213,7 @@ def test_a_refuted_mean_needs_no_further_rollout(tmp_path: Path) -> None:
     assert "risk_check" not in rollouts_of(tmp_path)
 
 
+@pytest.mark.rest
 def test_verify_finds_an_edited_record(tmp_path: Path) -> None:
     run(tmp_path, ODD)
     assert edited(tmp_path, lambda problem: None) == []

@@ -219,6 +219,7 @@ def predicate(directory: Path, found: CampaignConfig) -> dict[str, Any]:
     return result
 
 
+@pytest.mark.rest
 @pytest.mark.usefixtures("installed")
 def test_a_function_without_noise_gets_a_certain_claim_about_every_start(tmp_path: Path) -> None:
     calm = campaign(tmp_path / "run", config())
@@ -235,6 +236,7 @@ def test_a_function_without_noise_gets_a_certain_claim_about_every_start(tmp_pat
     assert campaign(tmp_path / "lossy", config(), workers=2, faults=Faults(1, loss=0.1, duplication=0.2)) == calm
 
 
+@pytest.mark.rest
 @pytest.mark.usefixtures("installed")
 def test_replicates_test_that_nothing_is_random(tmp_path: Path) -> None:
     found = predicate(tmp_path / "run", config(problem={"replicates": 2, "max_tests": 4}, clip=[0.2, 1.2]))
@@ -243,6 +245,7 @@ def test_replicates_test_that_nothing_is_random(tmp_path: Path) -> None:
     assert status["clip/robustness"] == "derived"
 
 
+@pytest.mark.rest
 def test_with_noise_the_claim_is_about_the_expectation(tmp_path: Path) -> None:
     changes = {"noise_scale": 0.005, "max_tests": 24, "replicates": 2}
     found = predicate(tmp_path / "run", config(system=TWIN, problem=changes, clip=[-0.5, 1.2], resolution=9))
@@ -252,6 +255,7 @@ def test_with_noise_the_claim_is_about_the_expectation(tmp_path: Path) -> None:
     assert (claim["quantity"], claim["sense"], claim["probability"]) == ("expected_robustness", ">=", 0.95)
 
 
+@pytest.mark.rest
 def test_listed_starts_get_a_bound_of_the_least_mean(tmp_path: Path) -> None:
     changes = {**SCENARIO, "max_tests": 40}
     found = predicate(tmp_path / "run", config(system=TWIN, problem=changes, clip=[-0.5, 1.2], space=LIST))
@@ -263,6 +267,7 @@ def test_listed_starts_get_a_bound_of_the_least_mean(tmp_path: Path) -> None:
     assert status["one_law_per_start/robustness"] == "not refuted"
 
 
+@pytest.mark.rest
 def test_the_paper_bounds_the_mean(tmp_path: Path) -> None:
     changes = {"method": "paper", "noise_scale": 0.005, "c": 0.01, "replicates": 2, "max_tests": 8, "window": None}
     found = predicate(tmp_path / "run", config(system=TWIN, problem=changes, clip=[-0.5, 1.2], resolution=9))

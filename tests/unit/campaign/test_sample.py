@@ -259,6 +259,7 @@ def test_a_fault_in_a_requirement_names_it() -> None:
 # What changes nothing
 
 
+@pytest.mark.rest
 def test_workers_and_a_stop_in_between_change_no_byte(tmp_path: Path) -> None:
     config = sampled(claims=LEVELS)
     assert len(certificates(tmp_path, config, shaky, noisy=True, cut_after=25)) == 1
@@ -269,6 +270,7 @@ def test_claims_are_part_of_the_identity_and_their_absence_is_not() -> None:
     assert "claims" not in sampled().model_dump_json()
 
 
+@pytest.mark.rest
 def test_a_drifting_simulator_refutes_the_one_law(tmp_path: Path) -> None:
     count = 0
 
@@ -282,6 +284,7 @@ def test_a_drifting_simulator_refutes_the_one_law(tmp_path: Path) -> None:
     assert "one_law_per_start/robustness" in found.refuted
 
 
+@pytest.mark.rest
 def test_the_report_shows_the_robustness_and_the_bounds(tmp_path: Path) -> None:
     simulate(tmp_path, sampled(claims=LEVELS), shaky, noisy=True)
     (problem,) = Collector(tmp_path).refresh().problems

@@ -47,6 +47,7 @@ def short(bits: int = 32, **changes: Any) -> Header:
     return replace(found, spec=found.spec.model_copy(update={"seed_bits": bits}))
 
 
+@pytest.mark.rest
 def test_short_seeds_differ_within_a_campaign() -> None:
     # So many that three pairs of drawn ones would be equal, in all problems and the spot check.
     campaign = short(31, replicates=10, max_tests=1900)

@@ -53,6 +53,7 @@ def test_they_stay_what_they_were() -> None:
     assert hashlib.sha256(repr(found.points).encode()).hexdigest().startswith("86aa047810ee9704")
 
 
+@pytest.mark.rest
 @settings(max_examples=30, deadline=None)
 @given(count=st.integers(2, 300), more=st.integers(0, 300))
 def test_fewer_are_the_first_of_more(count: int, more: int) -> None:
@@ -232,6 +233,7 @@ def candidates_of(config: CampaignConfig) -> Points:
     return plan.candidates
 
 
+@pytest.mark.rest
 def test_a_stopped_campaign_resumes_to_the_same_certificate(tmp_path: Path) -> None:
     config = robustness(EXACT, candidates=64)
     whole = simulate(tmp_path / "whole", config, hill, noisy=False)
@@ -241,6 +243,7 @@ def test_a_stopped_campaign_resumes_to_the_same_certificate(tmp_path: Path) -> N
     assert json.loads(str(parts))["predicate"]["claims"] == json.loads(str(whole))["predicate"]["claims"]
 
 
+@pytest.mark.rest
 def test_method_scenario_takes_a_box(tmp_path: Path) -> None:
     config = robustness({"method": "scenario", "alpha": 0.3}, candidates=4, clip=(-1.0, 1.0), max_tests=400)
     claim = claimed(simulate(tmp_path, config, hill, noisy=True))

@@ -355,6 +355,7 @@ def courses(draw: st.DrawFn) -> dict[str, Course]:
     return found
 
 
+@pytest.mark.rest
 @settings(max_examples=300, deadline=None)
 @given(courses(), st.integers(0, 2**32))
 def test_proposals_and_observations_have_one_order(found: dict[str, Course], seed: int) -> None:

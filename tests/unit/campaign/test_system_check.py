@@ -373,6 +373,7 @@ def test_a_text_at_the_first_use_is_no_fault() -> None:
     assert others(always) == {"output": "warning"}
 
 
+@pytest.mark.rest
 def test_files_and_threads_that_stay() -> None:
     cache = findings(lambda process, place, trial: {"files": ("$TMPDIR/cache",) if place == 0 else ()})
     assert others(cache) == {}
@@ -409,6 +410,7 @@ TRIALS_HUNG = ChildRun(
 )
 
 
+@pytest.mark.rest
 def test_a_crash_names_its_rollout_and_what_was_measured_before_counts() -> None:
     found = broken("ended by signal SIGSEGV", reached=1, place="a.c.py, line 1", stderr="bad\x1b[2J")
     start = TRIALS.fresh()[1].request

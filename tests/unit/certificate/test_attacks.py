@@ -85,6 +85,7 @@ def refuted(text: str | None) -> list[str]:
     return broken
 
 
+@pytest.mark.rest
 def test_honest_simulators_are_not_refuted(tmp_path: Path) -> None:
     assert refuted(simulate(tmp_path / "exact", exact(), flat, noisy=False)) == []
     assert refuted(simulate(tmp_path / "noisy", noisy(), honest, noisy=True)) == []
@@ -110,6 +111,7 @@ def _raise() -> float:
     raise SimulationError("the solver did not converge")
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("how", [_raise, lambda: math.nan], ids=["raise", "nan"])
 @pytest.mark.parametrize("config", [noisy(), listed()], ids=["box", "list"])
 def test_a_failure_that_does_not_repeat_refutes_and_changes_no_number(
@@ -129,6 +131,7 @@ def without(found: dict[str, Any], name: str) -> dict[str, Any]:
     return found | {"assumptions": rows, "claims": [claim | {"refuted": []} for claim in found["claims"]]}
 
 
+@pytest.mark.rest
 def test_outcomes_that_a_hidden_state_selects_are_refuted(tmp_path: Path) -> None:
     """Bad outcomes fail, and a retry draws another one: the mean of what is recorded is too high by .8 sd."""
     hidden = np.random.default_rng(0)
@@ -144,6 +147,7 @@ def test_outcomes_that_a_hidden_state_selects_are_refuted(tmp_path: Path) -> Non
     assert refuted(text) == ["reproducible_rollouts"]
 
 
+@pytest.mark.rest
 def test_outcomes_that_crashes_select_are_listed(tmp_path: Path) -> None:
     """Above or below the mean by chance, and a crash below it: what is recorded repeats with its seed."""
     hidden = np.random.default_rng(0)
@@ -167,6 +171,7 @@ def copied(request: RolloutRequest) -> float:
     return 0.7 + SD * noise(request.test)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("config", [noisy(max_tests=40, recheck=0), listed()], ids=["box", "list"])
 def test_replicates_that_are_copies_are_refuted(tmp_path: Path, config: CampaignConfig) -> None:
     text = simulate(tmp_path / "run", config, copied, noisy=True)
@@ -174,6 +179,7 @@ def test_replicates_that_are_copies_are_refuted(tmp_path: Path, config: Campaign
     assert "replicates are copies of each other" in sentence(text, "independent_rollouts/robustness")
 
 
+@pytest.mark.rest
 def test_copies_at_starts_with_one_test_each_are_listed(tmp_path: Path) -> None:
     """As if the noise had not shown there; only the recheck finds that this function counts its tests."""
     rows = [[x / 4, y / 4] for x in range(5) for y in range(4)]
@@ -182,6 +188,7 @@ def test_copies_at_starts_with_one_test_each_are_listed(tmp_path: Path) -> None:
     assert "no two rollouts of a test differ" in sentence(text, "independent_rollouts/robustness")
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("config", [noisy(max_tests=40), listed(max_tests=40)], ids=["box", "list"])
 @pytest.mark.parametrize("share", [0.02, 0.5], ids=["rare failure", "pass or fail"])
 @pytest.mark.parametrize("spread", [0.0, SD / 10], ids=["else exact", "else noisy"])
@@ -202,6 +209,7 @@ def test_results_that_repeat_are_no_copies(tmp_path: Path, config: CampaignConfi
     assert verified(tmp_path / "run") == []
 
 
+@pytest.mark.rest
 def test_repeated_results_of_tests_with_one_rollout_are_listed(tmp_path: Path) -> None:
     single = robustness(NOISY | {"replicates": 1, "max_tests": 40}, clip=[0.0, 1.4], **CHECKS)
     text = simulate(tmp_path / "run", single, lambda r: min(honest(r), 0.7), noisy=True)
@@ -209,6 +217,7 @@ def test_repeated_results_of_tests_with_one_rollout_are_listed(tmp_path: Path) -
     assert "which tests of one rollout each cannot tell apart" in sentence(text, "independent_rollouts/robustness")
 
 
+@pytest.mark.rest
 def test_noise_that_rollouts_share_without_a_copy_is_listed(tmp_path: Path) -> None:
     """One large error for the whole campaign, and a digit of each rollout's own: nothing shows that they depend."""
 
@@ -222,6 +231,7 @@ def test_noise_that_rollouts_share_without_a_copy_is_listed(tmp_path: Path) -> N
     assert words in sentence(text, "independent_rollouts/robustness")
 
 
+@pytest.mark.rest
 def test_results_that_do_not_repeat_are_refuted_by_the_recheck(tmp_path: Path) -> None:
     calls = iter(range(10**6))
     text = simulate(tmp_path / "run", exact(), lambda _: 0.7 + 1e-15 * next(calls), noisy=False)
@@ -232,6 +242,7 @@ def test_results_that_do_not_repeat_are_refuted_by_the_recheck(tmp_path: Path) -
     assert f"only {found['recheck']['agreed']} gave the same" in sentence(text, "reproducible_rollouts")
 
 
+@pytest.mark.rest
 def test_a_sign_of_zero_is_a_difference(tmp_path: Path) -> None:
     again = {"recheck": -0.0}
     text = simulate(tmp_path / "run", exact(), lambda request: again.get(request.problem, 0.0), noisy=False)
@@ -241,12 +252,14 @@ def test_a_sign_of_zero_is_a_difference(tmp_path: Path) -> None:
 # Several campaigns, and a simulator that drifts
 
 
+@pytest.mark.rest
 def test_the_best_of_several_campaigns_is_listed(tmp_path: Path) -> None:
     text = simulate(tmp_path / "run", listed(), honest, noisy=True)
     assert statuses(text)["only_campaign"] == "assumed"
     assert "whoever picks the best of several certificates" in sentence(text, "only_campaign")
 
 
+@pytest.mark.rest
 def test_campaigns_with_one_seed_share_no_rollout(tmp_path: Path) -> None:
     configs = listed(), listed(clip=[0.0, 1.5]), listed(max_tests=21), listed(seed=2)
     seeds: list[int] = []
@@ -270,6 +283,7 @@ def doubted(directory: Path) -> int:
         return sum(count - 1 for (count,) in connection.execute(query))
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("drift", [3.0, -3.0])
 def test_a_simulator_that_drifts_is_refuted(tmp_path: Path, drift: float) -> None:
     config = listed(max_tests=150)
@@ -286,6 +300,7 @@ def test_a_simulator_that_drifts_is_refuted(tmp_path: Path, drift: float) -> Non
 # Starts that the claim does not cover
 
 
+@pytest.mark.rest
 def test_a_claim_over_a_list_says_so(tmp_path: Path) -> None:
     words = "the worst of the 3 listed starts"
     for number, found in enumerate((listed(), robustness(EXACT, space=LIST))):
@@ -301,6 +316,7 @@ def test_a_claim_over_a_list_says_so(tmp_path: Path) -> None:
         assert verified(tmp_path / str(number)) == []
 
 
+@pytest.mark.rest
 def test_an_edited_number_of_listed_starts_is_caught(tmp_path: Path) -> None:
     simulate(tmp_path / "run", listed(), honest, noisy=True)
     edit(tmp_path / "run", lambda found: found["claims"][0].pop("starts"))
@@ -331,6 +347,7 @@ def unnoticed(folder: Path, function: Callable[[float, float], float]) -> tuple[
     raise AssertionError("the method noticed it with every seed")
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("function", [hole, jump])
 def test_a_hole_is_refuted_with_its_start(tmp_path: Path, function: Callable[[float, float], float]) -> None:
     directory, text = unnoticed(tmp_path, function)
@@ -357,6 +374,7 @@ def noisy_hole(request: RolloutRequest) -> float:
     return max(0.0, hole(*request.x)) + SD * abs(noise(request.seed))
 
 
+@pytest.mark.rest
 def test_a_hole_of_a_noisy_function_is_refuted(tmp_path: Path) -> None:
     text = simulate(tmp_path / "run", noisy(), noisy_hole, noisy=True)
     (spot,) = predicate(text)["spot_check"]["problems"]
@@ -365,6 +383,7 @@ def test_a_hole_of_a_noisy_function_is_refuted(tmp_path: Path) -> None:
     assert "rkhs_norm/robustness" in refuted(text)
 
 
+@pytest.mark.rest
 def test_a_spot_check_tests_the_bound_that_is_claimed(tmp_path: Path) -> None:
     """The last digits of a bound before rounding differ between CPUs, and the certificate may not."""
     found = predicate(simulate(tmp_path, noisy(), honest, noisy=True))
@@ -372,6 +391,7 @@ def test_a_spot_check_tests_the_bound_that_is_claimed(tmp_path: Path) -> None:
     assert tested["limit"] == problem["bound"]
 
 
+@pytest.mark.rest
 def test_replicates_of_a_spot_check_prove_more_of_most_starts(tmp_path: Path) -> None:
     bounds = []
     for replicates in (1, 4):
@@ -390,6 +410,7 @@ def two_levels(request: RolloutRequest) -> float:
     return (0.4 if request.x[0] < 0.2 else 0.7) + 2 * SD * noise(request.seed)
 
 
+@pytest.mark.rest
 def test_where_no_more_than_the_clip_is_proven_nothing_is_said_of_most_starts(tmp_path: Path) -> None:
     text = simulate(tmp_path / "run", noisy(), lambda _: 0.0, noisy=True)
     assert predicate(text)["spot_check"]["most_starts"] is None
@@ -469,6 +490,7 @@ def in_check(name: str, *tests: int) -> Iterator[Stop]:
         yield lambda request, test=test: request.problem == name and request.test >= test  # type: ignore[misc]
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("config", "is_noisy", "function"),
     [
@@ -492,6 +514,7 @@ def test_stops_in_the_checks_change_nothing(
     assert verified(directory) == []
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("workers", [2, 3])
 def test_a_recheck_is_simulated_by_another_worker(tmp_path: Path, workers: int) -> None:
     directory = tmp_path / "run"

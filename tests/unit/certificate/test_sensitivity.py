@@ -64,6 +64,7 @@ def predicate(original: Path) -> Predicate:
     return found.predicate
 
 
+@pytest.mark.rest
 def test_every_claim_has_every_variation(predicate: Predicate) -> None:
     rows = predicate.sensitivity or ()
     wanted = [(k, *each) for k in range(len(predicate.claims)) for each in VARIATIONS]
@@ -184,6 +185,7 @@ EDITS: dict[str, tuple[Callable[[Any], object], str]] = {
 }
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("edit", EDITS)
 def test_an_edit_of_it_fails(edit: str, original: Path, tmp_path: Path) -> None:
     directory = Path(shutil.copytree(original, tmp_path / "run"))

@@ -99,6 +99,7 @@ def test_what_was_cut_or_pasted_is_refused_or_says_the_same(start: int, length: 
     assert json.loads(patched) == json.loads(ENVELOPE)
 
 
+@pytest.mark.rest
 @given(
     st.binary() | st.text().map(str.encode) | st.recursive(st.none(), st.lists).map(lambda v: json.dumps(v).encode())
 )

@@ -53,6 +53,7 @@ def test_a_bound_beyond_what_is_required_is_shown(tmp_path: Path) -> None:
     assert found.repeat == ""
 
 
+@pytest.mark.rest
 def test_a_larger_margin_may_not_be_shown_by_the_same_campaign(tmp_path: Path) -> None:
     first = verdict(tmp_path / "a", RIGOROUS, smooth)
     same = verdict(tmp_path / "b", RIGOROUS, smooth, required_margin=first.bound)
@@ -86,6 +87,7 @@ def test_one_start_without_noise_violates(tmp_path: Path) -> None:
 NOISY = {**RIGOROUS, "noise_scale": 0.3, "replicates": 4, "alpha": 0.05}
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(("by", "expected"), [(-0.5, "VIOLATED"), (-0.305, "NOT SHOWN"), (0.4, "SHOWN")])
 def test_an_expectation_below_the_margin(tmp_path: Path, by: float, expected: str) -> None:
     found = verdict(tmp_path, NOISY, shifted(by, noisy=0.2), noisy=True, clip=[-1.0, 2.0], max_tests=60)
@@ -107,6 +109,7 @@ def test_an_expectation_below_the_margin(tmp_path: Path, by: float, expected: st
 OUT_OF_BUDGET = {**NOISY, "rkhs_norm": 4.0, "alpha": 0.01}
 
 
+@pytest.mark.rest
 def test_the_advised_number_of_tests_is_enough(tmp_path: Path) -> None:
     """A campaign that ended too early is extended as its advice says, and shows what is required."""
     changes = {**FEW, "clip": [-1.0, 2.0], "max_tests": 40}
@@ -157,6 +160,7 @@ def test_drawn_starts_are_forecast_as_a_number_of_samples(tmp_path: Path) -> Non
     )
 
 
+@pytest.mark.rest
 def test_a_false_verdict_is_as_rare_as_its_probability_says(tmp_path: Path) -> None:
     """The least expectation is exactly 0, the hardest case: VIOLATED in at most a fifth of the campaigns."""
     false = sum(
@@ -197,6 +201,7 @@ def test_a_refuted_claim_does_not_hide_a_violation(tmp_path: Path) -> None:
     assert found.verdict == "VIOLATED"
 
 
+@pytest.mark.rest
 def test_rollouts_come_before_a_claim_that_constants_prove(tmp_path: Path) -> None:
     """A noise scale so large that no audit can refute a norm: every rollout violates what the constants prove."""
     certain = {**NOISY, "noise_scale": 20.0, "rkhs_norm": 0.1, "prior_mean": -0.5}
@@ -234,6 +239,7 @@ def test_rollouts_that_do_not_follow_from_their_seeds_show_nothing_of_a_start(tm
     assert found.violations.violations > 0
 
 
+@pytest.mark.rest
 def test_a_bound_that_no_fresh_start_tested_is_not_shown(tmp_path: Path) -> None:
     """A violation ended the campaign: of a noisy system it says nothing of the mean."""
 
@@ -271,6 +277,7 @@ def _reasons(found: opposite.VerdictFinding | None) -> tuple[str, ...]:
     return found.reasons
 
 
+@pytest.mark.rest
 def test_a_margin_of_clipped_values_says_so(tmp_path: Path) -> None:
     """The mean itself may be lower by any amount, also where no rollout was at the clip."""
 
@@ -286,6 +293,7 @@ def test_a_margin_of_clipped_values_says_so(tmp_path: Path) -> None:
         assert each.clip == (-0.2, 4.0)
 
 
+@pytest.mark.rest
 def test_a_verdict_says_how_many_values_the_clip_hides(tmp_path: Path) -> None:
     """A mean of clipped values is shown; one rollout was far below the clip."""
 
@@ -304,6 +312,7 @@ def test_a_verdict_says_how_many_values_the_clip_hides(tmp_path: Path) -> None:
 RISK = {"name": "true_risk", "method": "scenario", "alpha": 0.01, "replicates": 20, "delta": 0.05}
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("linearised", "word", "two_sided"),
     [(None, "NOT SHOWN", False), ({"centre": 0.3, "spread": 0.2}, "SHOWN", False), ("past", "SHOWN", True)],
@@ -332,6 +341,7 @@ def test_a_vacuous_claim_shows_nothing(tmp_path: Path) -> None:
     assert found.reasons[0] == "The bound shows nothing: it is an end of the clip, and holds without any rollout."
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("required", "by", "expected"),
     [(None, 0.0, "NOT SHOWN"), (None, -0.35, "VIOLATED"), (0.05, 0.0, "SHOWN"), (0.05, -0.45, "VIOLATED")],
@@ -345,6 +355,7 @@ def test_a_failure_probability_needs_a_limit(tmp_path: Path, required: float | N
         assert "required_at_most" in found.advice[0]
 
 
+@pytest.mark.rest
 def test_the_advice_counts_samples_and_not_their_replicates(tmp_path: Path) -> None:
     """One rollout of 50 violates: about 4 of 200 samples, which have 16 violations with their replicates."""
 
@@ -368,6 +379,7 @@ def test_a_counterexample_that_ended_a_campaign_leaves_no_bound_to_improve(tmp_p
     assert found.advice[0].startswith("A new campaign without `falsify` and `until_counterexample`")
 
 
+@pytest.mark.rest
 def test_who_accepts_no_violation_gets_none(tmp_path: Path) -> None:
     """A noisy system, of which one rollout is enough."""
     found = verdict(tmp_path, SAMPLE, shifted(-0.2, noisy=0.1), noisy=True, max_tests=200)
@@ -377,6 +389,7 @@ def test_who_accepts_no_violation_gets_none(tmp_path: Path) -> None:
     assert "required_at_most" in found.advice[0]
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("claim", "by", "expected"),
     [
@@ -393,6 +406,7 @@ def test_claims_about_drawn_starts(tmp_path: Path, claim: dict[str, Any], by: fl
     assert found.verdict == expected
 
 
+@pytest.mark.rest
 def test_a_claim_about_the_next_rollout_says_that_it_is_about_one(tmp_path: Path) -> None:
     claim = {"quantity": "next_rollout", "level": 0.1}
     found = verdict(tmp_path, SAMPLE, shifted(-0.31), max_tests=200, clip=[-2.0, 2.0], claims=[claim])
@@ -407,6 +421,7 @@ def test_one_violation_has_a_verb_and_a_unit_of_one_is_no_number(tmp_path: Path)
     assert re.fullmatch(r"1 of 320 rollouts violates the specification, at 1 of 9 starts, the worst 0\.\d{4}\.", words)
 
 
+@pytest.mark.rest
 def test_a_smaller_probability_than_required_is_said(tmp_path: Path) -> None:
     changes: dict[str, Any] = {"clip": [-1.0, 2.0], "max_tests": 60}
     found = verdict(tmp_path, NOISY, shifted(0.4, noisy=0.2), noisy=True, required_probability=0.99, **changes)
@@ -415,6 +430,7 @@ def test_a_smaller_probability_than_required_is_said(tmp_path: Path) -> None:
     assert found.advice == ("A smaller `delta`; or a smaller `required_probability`, if that is enough.",)
 
 
+@pytest.mark.rest
 def test_a_smaller_delta_alone_does_not_help_where_its_complement_is_required(tmp_path: Path) -> None:
     """Method `paper` has less than 1 - delta, whatever delta is."""
     paper = {
@@ -459,6 +475,7 @@ def test_a_clip_below_the_margin_violates_nothing(tmp_path: Path) -> None:
     assert found.verdict == "NOT SHOWN"
 
 
+@pytest.mark.rest
 def test_the_mean_of_the_least_of_several_requirements_shows_nothing_of_each(tmp_path: Path) -> None:
     """Each has a mean well above 0, and nearly every rollout violates one of them."""
     two = {

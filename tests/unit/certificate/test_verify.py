@@ -126,6 +126,7 @@ def printed(directory: Path) -> list[str]:
     return console.file.getvalue().splitlines()
 
 
+@pytest.mark.rest
 def test_the_result_is_last_and_does_not_hide_a_refuted_claim(campaign: Path, tmp_path: Path) -> None:
     lines = printed(campaign)
     begin = next(number for number, line in enumerate(lines) if line.startswith("CLAIM"))
@@ -318,6 +319,7 @@ def test_a_certificate_that_is_none(campaign: Path, edit: Callable[[str], str]) 
     assert failed(campaign) == ["certificate"]
 
 
+@pytest.mark.rest
 def test_a_signature(campaign: Path, tmp_path: Path) -> None:
     ours, theirs = (keys.new_pair(tmp_path, name) for name in ("ours", "theirs"))
     paths = [ours.public, theirs.public]
@@ -342,6 +344,7 @@ def some_files(directory: Path) -> list[Path]:
     return sorted((directory / "trajectories").rglob("*.mcap"))
 
 
+@pytest.mark.rest
 def test_a_flipped_bit_in_each_of_a_hundred_places(campaign: Path) -> None:
     rng = random.Random(4)
     for _ in range(100):
@@ -376,6 +379,7 @@ def relist(directory: Path, change: Callable[[dict[RolloutId, str]], object] = l
     written(directory, Certificate.model_validate_json(json.dumps(value)))
 
 
+@pytest.mark.rest
 def test_a_flipped_bit_under_digests_that_were_made_again(campaign: Path) -> None:
     rng = random.Random(5)
     for _ in range(20):
@@ -620,6 +624,7 @@ def test_a_trajectory_that_was_cut(campaign: Path, kept: slice) -> None:
     assert failed(campaign) == ["trajectories"]
 
 
+@pytest.mark.rest
 @pytest.mark.integration
 def test_a_resimulation_that_cannot_be_done_is_no_pass(campaign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(*_: str, **__: object) -> str:
@@ -668,6 +673,7 @@ def test_a_rival_of_the_maximiser_is_followed(campaign: Path, monkeypatch: pytes
     assert rerun.ledger.done
 
 
+@pytest.mark.rest
 def test_a_consistent_lie_is_caught_by_simulating_again(campaign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With all rights a consistent campaign can be forged; only the simulation again shows it."""
     files_then = {path.name: path.read_bytes() for path in some_files(campaign)}

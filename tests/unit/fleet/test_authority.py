@@ -91,6 +91,7 @@ def test_every_name_of_a_worker_can_be_allowed(name: str) -> None:
     assert Path(name).name == name, "it names files"
 
 
+@pytest.mark.rest
 @given(st.lists(st.from_regex(r"\A[ab]-?[ab]?-?[ab]?\Z"), min_size=2, max_size=4, unique=True))
 def test_names_that_were_issued_together_can_be_allowed_together(names: list[str]) -> None:
     orders: list[Order] = []

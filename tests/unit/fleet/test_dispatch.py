@@ -943,6 +943,7 @@ chaos = st.builds(
 )
 
 
+@pytest.mark.rest
 @settings(max_examples=100, deadline=None)
 @given(chaos, st.integers(1, 25), st.integers(1, 4))
 def test_every_rollout_is_recorded_exactly_once_whatever_happens(found: Chaos, rollouts: int, workers: int) -> None:

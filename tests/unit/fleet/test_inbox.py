@@ -170,6 +170,7 @@ def test_a_message_is_not_lost_that_comes_while_the_one_before_is_taken() -> Non
     assert [each.at for each in found] == [2.0]
 
 
+@pytest.mark.rest
 def test_results_count_until_nothing_holds_them() -> None:
     budget = Budget(of_worker=100, whole=150)
     budget.reserve("w", 60)
@@ -190,6 +191,7 @@ def test_results_count_until_nothing_holds_them() -> None:
     budget.reserve("w", 60)
 
 
+@pytest.mark.rest
 def test_many_threads_leave_nothing_behind() -> None:
     budget = Budget()
 

@@ -277,6 +277,7 @@ def test_the_only_worker_repeats_a_doubtful_result_without_a_fresh_process() -> 
 behaviours = st.sampled_from(["good", "slow", "broken", "silent", "dies", "absent"])
 
 
+@pytest.mark.rest
 @settings(max_examples=40, deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 2), behaviours), max_size=4), st.sets(st.integers(0, 11)), st.booleans())
 def test_with_two_good_workers_no_lie_that_is_compared_is_recorded(

@@ -227,6 +227,7 @@ def test_failures_of_earlier_sessions_that_blame_the_rollout_count() -> None:
 behaviours = st.sampled_from(["good", "slow", "broken", "silent", "dies", "absent"])
 
 
+@pytest.mark.rest
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 3), behaviours), max_size=6), st.sampled_from([None, "raises", "endless"]))
 def test_no_campaign_ends_early_while_a_good_worker_lives(

@@ -283,6 +283,7 @@ def test_failures_before_a_resume_wait_for_another_worker_as_well() -> None:
 # Whatever happens
 
 
+@pytest.mark.rest
 @settings(max_examples=60, deadline=None)
 @given(
     st.lists(st.tuples(st.floats(0.0, 40.0), st.floats(0.5, 25.0), st.tuples(*[st.floats(0.0, 4.0)] * 3)), max_size=3),

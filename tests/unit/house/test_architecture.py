@@ -22,12 +22,14 @@ DOCS = Path(__file__).parents[3] / "docs"
 STEPS = 400_000
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("name", sorted(texts()))
 def test_a_diagram_is_current(name: str) -> None:
     assert (FOLDER / name).read_text() == texts()[name], "run `python -m tests.architecture`"
     assert f"(images/{name})" in (DOCS / "architecture.md").read_text()
 
 
+@pytest.mark.rest
 def test_every_label_is_in_its_diagram() -> None:
     events = {each.event for each in of_dispatch()} - {"Unwanted"}
     assert events <= set(re.findall(r">(\w+)</text>", texts()["dispatch.svg"]))
@@ -65,6 +67,7 @@ def an_event(rng: random.Random, at: float) -> events.Event:
     return rng.choice(makers)()
 
 
+@pytest.mark.rest
 def test_the_diagram_of_dispatch_is_what_the_core_does() -> None:
     rng, at, seen = random.Random(0), 0.0, set()
     state = DispatchState(Limits(max_attempts=10**9))
@@ -80,6 +83,7 @@ def test_the_diagram_of_dispatch_is_what_the_core_does() -> None:
     assert seen == of_dispatch()
 
 
+@pytest.mark.rest
 def test_the_diagram_of_a_test_is_what_the_core_does() -> None:
     rng, seen = random.Random(0), set()
     plan = Plan("p", window=3, max_tests=6, rollouts=(("true", 0), ("true", 1)))

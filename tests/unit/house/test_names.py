@@ -5,6 +5,8 @@ import graphlib
 from collections import defaultdict
 from pathlib import Path
 
+import pytest
+
 from tests.architecture import source
 
 ROOMS = ("cli", "report", "run", "certificate", "campaign", "store", "fleet", "mathematics")
@@ -54,6 +56,7 @@ def test_no_module_imports_itself_by_a_detour() -> None:
     list(graphlib.TopologicalSorter(imported).static_order())
 
 
+@pytest.mark.rest
 def test_no_unit_test_imports_the_benchmarks() -> None:
     for path in sorted(Path(__file__).parents[1].rglob("*.py")):
         imports = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.ImportFrom)]

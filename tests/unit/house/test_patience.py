@@ -37,6 +37,7 @@ def _is_number(node: ast.expr) -> bool:
     return isinstance(node, ast.Constant) and isinstance(node.value, int | float)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("path", FILES, ids=[str(path.relative_to(TESTS)) for path in FILES])
 def test_no_limit_but_the_one(path: Path) -> None:
     assert list(limits(ast.parse(path.read_text()))) == []

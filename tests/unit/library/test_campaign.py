@@ -52,11 +52,13 @@ def tests_importable(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[3]))
 
 
+@pytest.mark.rest
 def test_the_identity_is_that_of_the_campaign_file() -> None:
     campaign, file = pb.Campaign(f"{CARS}/cars.py:cars", **AS_IN_THE_FILE), pb.Campaign.load(CARS / "cars.toml")
     assert campaign.config.digest == file.config.digest == load_campaign(CARS / "cars.toml").digest
 
 
+@pytest.mark.rest
 def test_load_takes_overrides() -> None:
     assert pb.Campaign.load(CARS / "cars.toml", seed=7).config.seed == 7
 
@@ -67,11 +69,13 @@ def test_every_shipped_campaign_is_the_same_after_it_was_written(name: str) -> N
     assert parse_campaign(campaign.to_toml().encode(), name) == campaign.config
 
 
+@pytest.mark.rest
 def test_a_saved_campaign_is_loaded_again(tmp_path: Path) -> None:
     campaign = pb.Campaign("test-function", **KEYS)
     assert pb.Campaign.load(campaign.save(tmp_path / "c.toml")).config == campaign.config
 
 
+@pytest.mark.rest
 def test_what_is_left_out_has_a_default() -> None:
     config = pb.Campaign("test-function", **KEYS).config
     assert (config.name, config.seed, config.composition) == ("test-function", 1, "single")
@@ -129,6 +133,7 @@ VALUES = st.recursive(
 )
 
 
+@pytest.mark.rest
 @given(st.dictionaries(st.text(st.characters(codec="utf-8"), max_size=8), VALUES, max_size=5))
 def test_every_table_is_read_as_it_was_written(table: dict[str, Any]) -> None:
     assert tomllib.loads(toml(table, "here")) == table
@@ -142,12 +147,14 @@ def here(x: float) -> float:
     return x
 
 
+@pytest.mark.rest
 def test_a_function_in_a_file_is_found_there() -> None:
     found = given_system(here, "test")
     assert (found.reference, found.here) == (f"{__file__}:here", None)
     assert set(found.spec.code) >= {Path(__file__).name}
 
 
+@pytest.mark.rest
 def test_an_installed_system_is_found_by_its_name() -> None:
     found = given_system(TestFunctionSystem, "test")
     assert (found.choice, found.here) == ({"name": "test-function"}, None)
@@ -166,6 +173,7 @@ def test_a_function_without_a_file_is_of_this_session() -> None:
     assert found.spec.digest != nested.spec.digest
 
 
+@pytest.mark.rest
 def test_another_function_of_the_same_name_in_the_file_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     @pb.system(parameters={"x": pb.Parameter(0, 2)}, columns={"y": ""})
     def here(x: float) -> float:
@@ -190,6 +198,7 @@ print(found._subject.reason)
 """
 
 
+@pytest.mark.rest
 def test_a_script_without_a_guard_begins_no_campaign_in_its_workers(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(SCRIPT)
@@ -250,6 +259,7 @@ def test_a_trajectory_is_one_line_and_an_unknown_column_lists_the_known() -> Non
         found.column("angel")
 
 
+@pytest.mark.rest
 def test_a_campaign_of_several_requirements_shows_their_formulas() -> None:
     campaign = pb.Campaign(
         here,

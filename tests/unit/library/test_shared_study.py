@@ -51,6 +51,7 @@ def in_fork(call: Callable[[], object]) -> str:
     return str(ours.recv())
 
 
+@pytest.mark.rest
 def test_threads_tell_a_campaign_to_the_certificate_of_one_thread(study: Study, tmp_path: Path) -> None:
     while requests := study.requests:
         with ThreadPoolExecutor(8) as threads:
@@ -86,6 +87,7 @@ def test_of_other_data_from_many_threads_one_counts(study: Study) -> None:
     assert all(isinstance(each, PerfboundError | None) for each in faults)
 
 
+@pytest.mark.rest
 def test_failures_and_a_close_from_other_threads(study: Study, tmp_path: Path) -> None:
     first, *others = study.requests
     with ThreadPoolExecutor(8) as threads:
@@ -101,6 +103,7 @@ def test_failures_and_a_close_from_other_threads(study: Study, tmp_path: Path) -
         assert again.run.verify().checks.good
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("name", ["ask", "requests", "tell", "failed", "close"])
 def test_a_fork_is_refused_in_one_line(study: Study, name: str) -> None:
     request = asked(study)
@@ -119,6 +122,7 @@ def test_a_fork_is_refused_in_one_line(study: Study, name: str) -> None:
     assert study.run.verify().checks.good
 
 
+@pytest.mark.rest
 def test_a_fork_that_ends_by_itself_leaves_the_study_alone(study: Study, tmp_path: Path) -> None:
     request = asked(study)
     study.tell(request, curve(request))
@@ -182,6 +186,7 @@ for each in threads:
 """Its threads outlive the main one."""
 
 
+@pytest.mark.rest
 def test_what_was_told_is_there_after_kill_9(tmp_path: Path) -> None:
     command = [sys.executable, "-c", KILLED, str(tmp_path / "run")]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)

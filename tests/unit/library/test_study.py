@@ -230,6 +230,7 @@ def test_it_continues_where_it_was(study: Study, tmp_path: Path) -> None:
         pb.Campaign(rig(), **{**KEYS, "seed": 2}).ask_tell(tmp_path / "run")
 
 
+@pytest.mark.rest
 @pytest.mark.integration
 @pytest.mark.usefixtures("study")
 def test_another_process_cannot_have_it_at_the_same_time(tmp_path: Path) -> None:

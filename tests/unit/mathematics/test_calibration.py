@@ -61,6 +61,7 @@ def chosen(function: Values, data: SampledValues) -> Choice:
 # Fit
 
 
+@pytest.mark.rest
 def test_a_longer_function_gets_longer_length_scales() -> None:
     slow = fit_kernel(2.5, exact(lambda u: np.sin(3.0 * u[:, 0]) + u[:, 1]))
     fast = fit_kernel(2.5, exact(lambda u: np.sin(20.0 * u[:, 0]) + u[:, 1]))
@@ -82,6 +83,7 @@ def test_the_posterior_of_a_fit_is_that_of_the_gaussian_process() -> None:
     assert np.abs(fit.mean(data, points) - smooth(points)).max() < 0.15
 
 
+@pytest.mark.rest
 def test_the_noise_of_a_fit_is_that_of_the_values() -> None:
     data = noisy(smooth, 0.1)
     fit = fit_kernel(2.5, data)
@@ -117,6 +119,7 @@ def test_the_norm_is_that_of_the_distance_from_the_centre(data: SampledValues) -
     assert needed_norm(PLAIN, raised, 5.0) == pytest.approx(needed_norm(PLAIN, data, 0.0))
 
 
+@pytest.mark.rest
 def test_the_norm_levels_off_for_a_smooth_function_and_rises_for_a_jump() -> None:
     for function, rises in ((smooth, False), (jumping, True)):
         data = exact(function)
@@ -223,6 +226,7 @@ def test_the_noisiest_starts_are_where_the_noise_is() -> None:
 # The choice
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(("function", "smoothest"), [(smooth, 2.5), (kinked, 0.5)])
 def test_a_continuous_function_has_a_kernel_whose_norm_suffices(function: Values, smoothest: float) -> None:
     found = chosen(function, exact(function))
@@ -236,6 +240,7 @@ def test_a_continuous_function_has_a_kernel_whose_norm_suffices(function: Values
     assert found.chosen.bound >= EXACT_MARGIN * found.chosen.growth.norms[-1]
 
 
+@pytest.mark.rest
 def test_no_kernel_is_trusted_with_a_jump_a_constant_or_waves_between_the_starts() -> None:
     cases: list[tuple[Values, str]] = [
         (jumping, "jump"),
@@ -249,10 +254,12 @@ def test_no_kernel_is_trusted_with_a_jump_a_constant_or_waves_between_the_starts
     assert chosen(smooth, exact(smooth, 20)).faults == ("few",)
 
 
+@pytest.mark.rest
 def test_a_jump_is_found_without_halving_as_well() -> None:
     assert "rises" in choose_kernel(exact(jumping), None, (), PLAIN).faults
 
 
+@pytest.mark.rest
 def test_noise_alone_has_the_kernel_of_a_file_without_one() -> None:
     data = noisy(lambda u: 0 * u[:, 0], 0.1)
     found = choose_kernel(data, None, (), PLAIN)
@@ -262,6 +269,7 @@ def test_noise_alone_has_the_kernel_of_a_file_without_one() -> None:
     assert found.chosen.bound >= 0.3, "so much may hide in the noise of one start"
 
 
+@pytest.mark.rest
 def test_a_hole_deeper_than_the_noise_is_an_outlier() -> None:
     def hole(u: Floats) -> Floats:
         return np.asarray(smooth(u) - 1.0 * (np.hypot(u[:, 0] - 0.5, u[:, 1] - 0.5) < 0.05))
@@ -290,6 +298,7 @@ def test_only_rare_falls_are_large_deviations(seed: int) -> None:
     assert noise.largest_deviation(SHARES, np.ones((256, 2))) == 0.0
 
 
+@pytest.mark.rest
 def test_as_many_starts_are_doubted_as_noise_makes_doubtful() -> None:
     """With rare falls four are too few; the rest would be taken for holes."""
     rng = np.random.default_rng(3)

@@ -126,6 +126,7 @@ class TestBounds:
 
 
 class TestFailureSequence:
+    @pytest.mark.rest
     @given(st.lists(st.booleans(), min_size=1, max_size=60), st.sampled_from([0.05, 0.4]))
     @settings(max_examples=60, deadline=None)
     def test_it_has_the_extremes_of_all_moments(self, record: list[bool], delta: float) -> None:
@@ -138,6 +139,7 @@ class TestFailureSequence:
             assert (bounds.count, bounds.failures) == (n, sum(record[:n]))
             assert (bounds.lower(), bounds.upper()) == (max(lowers), min(uppers))
 
+    @pytest.mark.rest
     @pytest.mark.parametrize("p", [0.1, 0.5, 0.9])
     def test_the_exact_failure_probabilities_are_below_delta(self, p: float) -> None:
         """Every path of 10 samples."""

@@ -169,6 +169,7 @@ class TestPosterior:
         assert not prior.mean.any()
         assert (prior.variance == 1.0).all()
 
+    @pytest.mark.rest
     @given(observations, regularisers)
     @settings(deadline=None)
     def test_equals_a_dense_solve(self, data: list[tuple[int, float]], regulariser: float) -> None:
@@ -177,6 +178,7 @@ class TestPosterior:
         np.testing.assert_allclose(posterior.mean, mean, atol=1e-9)
         np.testing.assert_allclose(posterior.variance, variance, atol=1e-10)
 
+    @pytest.mark.rest
     @given(observations, regularisers, regularisers)
     @settings(deadline=None)
     def test_a_changed_regulariser_equals_a_dense_solve(
@@ -246,6 +248,7 @@ class TestPosterior:
         np.testing.assert_array_equal(calm.variance, replayed.variance)
         assert calm.information(0.1) == replayed.information(0.1)
 
+    @pytest.mark.rest
     @given(st.lists(st.tuples(st.integers(0, 3), st.floats(-2, 2)), min_size=40, max_size=150), regularisers)
     @settings(deadline=None, max_examples=30)
     def test_merging_repeats_is_exact(self, data: list[tuple[int, float]], regulariser: float) -> None:

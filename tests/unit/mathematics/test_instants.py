@@ -69,6 +69,7 @@ def by_numbers(tree: Formula, samples: Floats) -> float:
     return float(margins_at_samples(tree, Signals(NAMES, samples), StrictGrid(Grid(samples[:, 0])))[0])
 
 
+@pytest.mark.rest
 def test_200_grids_and_50_formulas_give_what_exact_stamps_give() -> None:
     rng, compared, decided, kinds = np.random.default_rng(20261125), 0, 0, dict[str, int]()
     for _ in range(GRIDS):

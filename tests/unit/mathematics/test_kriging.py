@@ -167,6 +167,7 @@ def bounds_of(points: int = 3, tests: int = 120, premises: KrigingPremises = PRE
 
 
 class TestBounds:
+    @pytest.mark.rest
     @given(st.integers(0, 10_000))
     @settings(max_examples=10, deadline=None)
     def test_without_noise_no_bound_exceeds_the_function_anywhere_in_its_cell(self, seed: int) -> None:
@@ -223,6 +224,7 @@ class TestBounds:
         assert np.array_equal(bounds._sum, sums)
         assert bounds.rollouts == 80
 
+    @pytest.mark.rest
     @given(st.lists(st.sampled_from([0.0, 1.0]), min_size=1, max_size=60))
     @settings(max_examples=20, deadline=None)
     def test_no_wealth_becomes_negative(self, values: list[float]) -> None:

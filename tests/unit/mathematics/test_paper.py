@@ -94,6 +94,7 @@ class TestFormulas:
         for tail in TAILS:
             assert 0 <= mills_probability(c, other, noise, tail) <= mills_probability(c, one, noise, tail) <= 1
 
+    @pytest.mark.rest
     @given(st.floats(0.01, 10), st.floats(0.01, 10), st.floats(0, 10), st.floats(0, 10))
     def test_tail_falls_with_c_and_rises_with_noise(self, c: float, more_c: float, r: float, more_r: float) -> None:
         for tail in TAILS:
@@ -270,6 +271,7 @@ class TestTestFunction:
     share is a 99.9 % quantile at the measured rate, not at Delta.
     """
 
+    @pytest.mark.rest
     def test_number_of_tests(self, runs: list[tuple[int, float]]) -> None:
         counts = sorted(tests for tests, _ in runs)
         assert counts[0] >= 35

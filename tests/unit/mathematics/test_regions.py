@@ -81,6 +81,7 @@ def wrong(found: Regions, z: Floats, j: Floats) -> int:
 
 
 class TestTruth:
+    @pytest.mark.rest
     @given(
         seed=st.integers(0, 10_000),
         nu=st.sampled_from([0.5, 0.8, 1.5, 2.5, 10.0]),
@@ -218,6 +219,7 @@ class TestThresholds:
         assert here.of(UNSAFE) > 0.02
         assert (here.of(SAFE), here.of(UNSAFE)) == (there.of(UNSAFE), there.of(SAFE))
 
+    @pytest.mark.rest
     def test_a_threshold_that_no_value_passes(self, case: tuple[Envelope, Lattice]) -> None:
         assert regions(*case, unsafe_above=math.inf).of(UNSAFE) == 0.0
         assert covered(regions(*case), regions(*case, unsafe_above=math.inf), SAFE).all()

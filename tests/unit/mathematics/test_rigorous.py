@@ -195,6 +195,7 @@ class TestScale:
 
 
 class TestTruth:
+    @pytest.mark.rest
     @pytest.mark.parametrize(("nu", "length"), [(0.5, 4.0), (1.5, 2.0), (2.5, 2.0), (10.0, 2.0)])
     def test_without_noise_the_bound_is_certain(self, nu: float, length: float) -> None:
         kernel = Matern(nu, length)
@@ -266,6 +267,7 @@ class TestTruth:
 
 
 class TestRefutation:
+    @pytest.mark.rest
     def test_b_four_times_too_small_is_refuted_and_never_converges(self) -> None:
         refuted = 0
         for seed in range(10):

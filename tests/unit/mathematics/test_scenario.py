@@ -37,6 +37,7 @@ def sequence_of(values: list[float], deltas: tuple[float, ...], imaginary: int =
 
 
 class TestRisk:
+    @pytest.mark.rest
     @given(st.floats(-1, 0), st.floats(0.01, 1), st.floats(0, 2), st.floats(-1, 1), st.floats(0.01, 1))
     def test_the_range_is_that_of_a_dense_grid(self, low: float, width: float, r: float, c: float, s: float) -> None:
         clip = (low, low + width)
@@ -108,6 +109,7 @@ def brute_force(values: list[float], delta: float) -> int:
 
 
 class TestBetting:
+    @pytest.mark.rest
     @given(st.lists(units, max_size=12), st.sampled_from([0.05, 0.5]))
     @settings(max_examples=25, deadline=None)
     def test_the_bound_is_that_of_brute_force(self, values: list[float], delta: float) -> None:
@@ -241,17 +243,20 @@ class TestConstantsFromThePast:
             alone.add(value)
         assert running.bound().ell == alone.lower()
 
+    @pytest.mark.rest
     def test_it_is_close_to_the_best_constants_and_far_above_bhatia_davis(self) -> None:
         past, best, without = (fed(make(), 200).bound().ell for make in (predictable, method, bhatia))
         assert best - 0.005 < past < 0.6 - 0.2 * 0.09
         assert past > without + 0.03
 
+    @pytest.mark.rest
     def test_the_claims_about_all_starts_at_once_are_bets_too(self) -> None:
         running = fed(predictable(), 200)
         least = predictable().bound().ell
         for state in running.bound().scenarios:
             assert least < state.simultaneous_lower < state.lower
 
+    @pytest.mark.rest
     def test_the_opposite_bound_is_one_of_the_least_mean(self) -> None:
         running, of_mean = fed(predictable(), 100), method(risk="mean", constants=None)
         rng = np.random.default_rng(3)
@@ -338,6 +343,7 @@ class TestScenarioMethod:
         assert mean.ell >= risk.ell
         assert [each.mean for each in mean.scenarios] == [each.mean for each in risk.scenarios]
 
+    @pytest.mark.rest
     def test_constant_rollouts_lead_to_their_risk(self) -> None:
         cases = ((method, 0.7, 0.7 - 0.1 * 0.09), (bhatia, 0.75, 0.75), (of_mean, 0.3, 0.3), (of_mean, -0.05, -0.05))
         for make, value, target in cases:

@@ -29,11 +29,13 @@ def searched(tests: int, *, seed: int = 1, asked: int = 1) -> tuple[Falsifier, l
     return search, points
 
 
+@pytest.mark.rest
 def test_the_same_seed_and_observations_give_the_same_bits_however_often_one_asks() -> None:
     assert searched(60)[1] == searched(60, asked=2)[1]
     assert searched(12)[1] != searched(12, seed=2)[1]
 
 
+@pytest.mark.rest
 def test_a_search_that_is_fed_recorded_tests_goes_on_as_the_first_one() -> None:
     search, points = searched(30)
     resumed = Falsifier(LOW, HIGH, seed=1)
@@ -42,6 +44,7 @@ def test_a_search_that_is_fed_recorded_tests_goes_on_as_the_first_one() -> None:
     assert resumed.propose() == search.propose()
 
 
+@pytest.mark.rest
 def test_every_fourth_test_is_a_start_of_the_sobol_sequence_whatever_was_observed() -> None:
     def misled(values: list[float]) -> list[Point]:
         search, points = Falsifier(LOW, HIGH, seed=3), []
@@ -58,6 +61,7 @@ def test_every_fourth_test_is_a_start_of_the_sobol_sequence_whatever_was_observe
     assert np.all(np.ptp(spread, axis=0) > 0.5)
 
 
+@pytest.mark.rest
 def test_tests_in_flight_are_not_repeated() -> None:
     search, _ = searched(30)
     pending: list[Point] = []
@@ -75,6 +79,7 @@ def test_a_window_without_any_observation_is_spread() -> None:
     assert len(set(pending)) == 8
 
 
+@pytest.mark.rest
 @settings(max_examples=40, deadline=None)
 @given(
     dimension=st.integers(1, 10),

@@ -298,6 +298,7 @@ def test_a_wide_range_needs_the_scale_of_the_noise(scale: float | None, expected
     assert check.finding(0).status == expected
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("noise", ["gaussian", "two points"])
 def test_range_and_scale_together_keep_the_level(noise: str) -> None:
     """Every start at the limit itself."""
@@ -318,6 +319,7 @@ def test_noise_without_range_or_scale_is_not_tested() -> None:
     assert check.finding(0).status == "not testable"
 
 
+@pytest.mark.rest
 def test_the_wealth_of_sub_gaussian_noise_is_a_supermartingale() -> None:
     # E[exp(lambda e - lambda^2 R^2/2)] = 1 for Gaussian noise of mean 0: over many starts at the limit itself.
     rng, refuted = np.random.default_rng(6), 0

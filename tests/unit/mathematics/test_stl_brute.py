@@ -172,6 +172,7 @@ def draw_trace(rng: random.Random) -> Trace:
     return [(t, rng.uniform(-2, 2), rng.uniform(-2, 2)) for t in times]
 
 
+@pytest.mark.rest
 def test_a_thousand_formulas_equal_the_brute_force() -> None:
     rng = random.Random(20250101)
     counts: dict[str, int] = {"defined": 0, "refused": 0}
@@ -245,6 +246,7 @@ def test_dualities(seed: int) -> None:
     assert robustness(parse_formula(f"eventually {f}"), NAMES, samples) == until
 
 
+@pytest.mark.rest
 def test_no_formula_leaves_its_reach() -> None:
     rng, bounded = random.Random(12), 0
     for _ in range(2000):

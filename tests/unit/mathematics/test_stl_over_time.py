@@ -52,6 +52,7 @@ def test_the_robustness_is_one_of_the_values_of_the_signal(formula: str, samples
     assert picked[found.attained] == expected
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("formula", FORMULAS)
 @given(samples=traces())
 def test_the_robustness_changes_with_its_moment_alone(formula: str, samples: NDArray[np.float64]) -> None:

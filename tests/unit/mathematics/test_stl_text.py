@@ -205,6 +205,7 @@ class TestParser:
             parse_formula(text, NAMES)
         assert str(caught.value) == line
 
+    @pytest.mark.rest
     @given(st.text(alphabet="xy01.,<=>()[]+-*/^ andortuilwsmebf_", max_size=40))
     @settings(deadline=None)
     def test_any_text_is_read_or_refused(self, text: str) -> None:
@@ -281,6 +282,7 @@ def draw_formula(rng: random.Random, depth: int) -> Formula:
 
 
 class TestText:
+    @pytest.mark.rest
     def test_round_trip(self) -> None:
         rng = random.Random(1)
         for _ in range(1000):

@@ -178,6 +178,7 @@ def test_bars_end_at_their_edges() -> None:
     assert sum(bar_counts([ends[0] - 1, ends[-1] + 1], ends)) == 2
 
 
+@pytest.mark.rest
 @pytest.mark.integration
 def test_a_hundred_thousand_rollouts_fit_in_the_page(tmp_path: Path, no_disk: None) -> None:
     finish(play(tmp_path, CONFIGS["rigorous"]), tmp_path)

@@ -71,6 +71,7 @@ def numbers(values: tuple[float | None, ...]) -> list[float]:
 # Refreshes
 
 
+@pytest.mark.rest
 @pytest.mark.usefixtures("no_disk")
 @pytest.mark.parametrize("name", CONFIGS)
 def test_incremental_refreshes_equal_a_fresh_one(tmp_path: Path, name: str) -> None:
@@ -266,6 +267,7 @@ def test_a_running_problem_of_the_others_has_a_bound_at_any_time(tmp_path: Path,
     stage.journal.close()
 
 
+@pytest.mark.rest
 @pytest.mark.usefixtures("no_disk")
 def test_a_claim_without_risk_shows_no_weight_of_it(tmp_path: Path) -> None:
     listed = json.loads(a_list().model_dump_json(exclude_none=True))
@@ -559,6 +561,7 @@ def test_the_latest_failed_attempts_come_with_their_kind(one: Path) -> None:
     assert {len(each.reason) for each in report_data.failed_attempts} == {500}
 
 
+@pytest.mark.rest
 def test_of_a_thousand_workers_those_that_matter_have_rows(one: Path) -> None:
     for number in range(1000):
         row = {"rollout": "sim_gap.0.true.0", "worker": f"w{number:03d}", "cpu_seconds": 0, "wall_seconds": 0}

@@ -298,6 +298,7 @@ def test_a_campaign_that_cannot_be_read_does_not_disturb_the_others(folder: Path
 # Limits
 
 
+@pytest.mark.rest
 def test_few_campaigns_stay_in_memory(folder: Path, made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(open_campaigns, "MOST_OPEN", 2)
     for name in "abc":

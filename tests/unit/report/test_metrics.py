@@ -116,6 +116,7 @@ def fed(figures: RunFigures = FIGURES) -> RunFeed:
     return feed
 
 
+@pytest.mark.rest
 def test_every_declared_metric_appears_with_its_type_labels_and_text(watched: tuple[Path, list[str]]) -> None:
     """And no other one."""
     directory, texts = watched

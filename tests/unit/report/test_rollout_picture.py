@@ -48,6 +48,7 @@ def test_one_sample_is_a_point() -> None:
     assert (pixels.reshape(-1, 3) == (0, 0x72, 0xB2)).all(axis=1).any()
 
 
+@pytest.mark.rest
 def test_many_columns_are_beside_one_another_and_the_first_of_very_many_are_drawn() -> None:
     one, two, most = picture(10), picture(11), picture(MOST)
     assert two.width == 2 * one.width

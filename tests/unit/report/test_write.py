@@ -145,6 +145,7 @@ def test_hostile_text_is_text_in_the_page(story: ReportData) -> None:
 # The files
 
 
+@pytest.mark.rest
 def test_a_report_is_the_same_whenever_it_is_written(finished: Path, story: ReportData) -> None:
     def written(told: ReportData) -> dict[Path, bytes]:
         paths = (*write.write_page(finished, told), *write.write_figures(finished, told))
@@ -195,6 +196,7 @@ def test_a_problem_without_tests_has_no_figures(story: ReportData) -> None:
     assert drawn(replace(story, problems=nothing)) == {}
 
 
+@pytest.mark.rest
 def test_one_parameter_is_drawn_as_a_band(story: ReportData) -> None:
     problem, points = story.problems[0], tuple((float(k),) for k in (2, 0, 1))
     for shape, starts in (((3,), ()), (None, points)):
@@ -208,12 +210,14 @@ def test_one_parameter_is_drawn_as_a_band(story: ReportData) -> None:
         ]
 
 
+@pytest.mark.rest
 def test_a_strange_unit_is_drawn_as_it_is_written(story: ReportData) -> None:
     strange = tuple(replace(axis, unit=HOSTILE) for axis in story.axes)
     report = drawn(replace(story, axes=strange, problems=story.problems[:1]))
     assert b"\x00" not in report[f"{story.problems[0].name}-map.svg"]
 
 
+@pytest.mark.rest
 def test_listed_starts_are_drawn(tmp_path: Path, no_disk: None) -> None:
     finish(play(tmp_path, a_list()), tmp_path)
     paths = write.write_figures(tmp_path, write.collected(tmp_path))
@@ -327,6 +331,7 @@ def test_counterexamples_with_a_hostile_path_harm_no_file(tmp_path: Path, no_dis
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
+@pytest.mark.rest
 def test_more_parameters_have_lines_and_planes_and_inputs_a_picture() -> None:
     cube, many = example_reports.cube(), example_reports.many(12, 700)
     assert set(drawn(cube)) == {
@@ -341,6 +346,7 @@ def test_more_parameters_have_lines_and_planes_and_inputs_a_picture() -> None:
     assert drawn(elsewhere)[name] != drawn(cube)[name], "the title names the plane"
 
 
+@pytest.mark.rest
 def test_lines_of_tests_without_a_value_are_drawn() -> None:
     cube = example_reports.cube()
     tests = replace(cube.problems[0].tests, y=(None,) * 6)

@@ -404,6 +404,7 @@ main()
 """
 
 
+@pytest.mark.rest
 @pytest.mark.integration
 @pytest.mark.parametrize("words", [["init"], ["issue", "node-1", "--worker"]])
 def test_a_kill_leaves_nothing_half_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]) -> None:

@@ -44,6 +44,7 @@ def no_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(service, "TICK", 0.01)
 
 
+@pytest.mark.rest
 @pytest.mark.usefixtures("no_disk")
 def test_a_long_campaign_keeps_numbers_and_no_messages(tmp_path: Path) -> None:
     """8,000 heartbeats leave nothing; a rollout leaves less than its digest and path would take."""
@@ -78,6 +79,7 @@ def traced() -> int:
     return sum(trace.size for trace in found.traces)
 
 
+@pytest.mark.rest
 @pytest.mark.usefixtures("no_disk")
 def test_what_is_open_is_all_that_the_orchestrator_holds(tmp_path: Path) -> None:
     stage = Stage(tmp_path, cheap(400), 16)
@@ -89,6 +91,7 @@ def test_what_is_open_is_all_that_the_orchestrator_holds(tmp_path: Path) -> None
     stage.journal.close()
 
 
+@pytest.mark.rest
 @pytest.mark.usefixtures("no_disk")
 @pytest.mark.parametrize("waiting", [1, 8, 64])
 def test_what_waits_together_is_committed_together(tmp_path: Path, waiting: int) -> None:
@@ -112,6 +115,7 @@ def test_a_turn_is_one_statement_a_table(tmp_path: Path) -> None:
     stage.journal.close()
 
 
+@pytest.mark.rest
 @pytest.mark.usefixtures("no_disk")
 def test_readers_in_between_see_whole_turns_and_stop_nothing(tmp_path: Path) -> None:
     """A reader holds the database open in the middle of a refresh while the writer continues to the end."""
@@ -147,6 +151,7 @@ def test_whoever_reads_at_the_end_leaves_nothing_outside_the_database(tmp_path: 
     assert sum(problem.rollouts for problem in read_progress(tmp_path / "copy").problems) == 32
 
 
+@pytest.mark.rest
 @pytest.mark.usefixtures("no_disk")
 def test_a_replay_of_a_long_campaign_ends_where_it_was(tmp_path: Path) -> None:
     stage = Stage(tmp_path, cheap(400), 64)

@@ -123,6 +123,7 @@ def honesty(certificate: str) -> dict[str, Any]:
     return dict(found)
 
 
+@pytest.mark.rest
 def test_the_choice_follows_from_the_seed_and_has_the_share() -> None:
     spec = load_system("test-function").spec
     header = Header.new(a_config(second_opinion=0.05), spec, {})
@@ -135,6 +136,7 @@ def test_the_choice_follows_from_the_seed_and_has_the_share() -> None:
     assert all(is_chosen(Header.new(a_config(second_opinion=1.0), spec, {}), each) for each in rollouts)
 
 
+@pytest.mark.rest
 def test_the_key_changes_neither_seeds_nor_numbers_and_the_number_of_workers_nothing(tmp_path: Path) -> None:
     config = a_config(second_opinion=0.3)
     assert config.digest == a_config().digest
@@ -151,6 +153,7 @@ def test_the_key_changes_neither_seeds_nor_numbers_and_the_number_of_workers_not
     assert faults(tmp_path / "3") == []
 
 
+@pytest.mark.rest
 @pytest.mark.integration
 def test_of_a_worker_that_lies_from_its_first_result_nothing_is_recorded(tmp_path: Path) -> None:
     config, log, directory = a_config(second_opinion=1.0), Log(), tmp_path / "run"
@@ -177,6 +180,7 @@ def test_of_a_worker_that_lies_from_its_first_result_nothing_is_recorded(tmp_pat
     assert opinions(directory, "reviewed") == []
 
 
+@pytest.mark.rest
 def test_of_a_worker_that_is_alone_the_certificate_says_what_its_agreement_does_not_show(tmp_path: Path) -> None:
     config, directory = a_config(second_opinion=1.0), tmp_path / "run"
     begin(directory, config)
@@ -190,6 +194,7 @@ def test_of_a_worker_that_is_alone_the_certificate_says_what_its_agreement_does_
     )
 
 
+@pytest.mark.rest
 def test_what_a_worker_recorded_before_it_was_outvoted_is_simulated_again(tmp_path: Path) -> None:
     config, directory = a_config(second_opinion=0.3), tmp_path / "run"
     begin(directory, config)
@@ -219,6 +224,7 @@ def test_what_a_worker_recorded_before_it_was_outvoted_is_simulated_again(tmp_pa
     assert faults(directory) == []
 
 
+@pytest.mark.rest
 def test_a_review_that_is_interrupted_goes_on_and_verifies_without_the_opinions(tmp_path: Path) -> None:
     config, directory = a_config(second_opinion=0.3), tmp_path / "run"
     begin(directory, config)
@@ -257,6 +263,7 @@ def false_rollouts(directory: Path, calm: Path) -> set[str]:
     return {rollout for rollout, sha256 in recorded(directory).items() if right.get(rollout, sha256) != sha256}
 
 
+@pytest.mark.rest
 @pytest.mark.integration
 def test_after_a_vote_without_majority_no_resume_lets_the_liar_agree_with_itself(tmp_path: Path) -> None:
     config, directory, heard = a_config(second_opinion=1.0), tmp_path / "run", threading.Event()
@@ -293,6 +300,7 @@ def insert(directory: Path, *rows: tuple[str, str, int, str, str]) -> None:
         connection.executemany(query, rows)
 
 
+@pytest.mark.rest
 def test_two_that_differed_before_a_restart_are_decided_on_after_it(tmp_path: Path) -> None:
     config, directory = a_config(second_opinion=0.3), tmp_path / "run"
     campaign(tmp_path / "calm", config)
@@ -343,6 +351,7 @@ class Awaiting(Log):
             self._event.set()
 
 
+@pytest.mark.rest
 @pytest.mark.integration
 def test_after_a_resume_the_worker_that_reports_first_does_not_end_the_vote(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -369,6 +378,7 @@ def test_after_a_resume_the_worker_that_reports_first_does_not_end_the_vote(
     assert set(false) <= set(read.contradicted(directory)) == false_rollouts(directory, tmp_path / "calm")
 
 
+@pytest.mark.rest
 def test_two_that_differ_on_a_rollout_that_is_no_longer_needed_are_decided_on_before_the_certificate(
     tmp_path: Path,
 ) -> None:
@@ -390,6 +400,7 @@ def test_two_that_differ_on_a_rollout_that_is_no_longer_needed_are_decided_on_be
     assert found == campaign(tmp_path / "calm", config)
 
 
+@pytest.mark.rest
 def test_what_was_open_is_numbered_on_also_where_damaged_files_come_first(tmp_path: Path) -> None:
     config, directory = a_config(), tmp_path / "run"
     begin(directory, config)

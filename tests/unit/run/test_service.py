@@ -123,6 +123,7 @@ def test_the_number_of_workers_changes_nothing(tmp_path: Path, calm: Calm, worke
     assert outcomes(tmp_path / "run") == ["recorded"] * 36
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("seed", range(3))
 def test_a_bad_network_changes_nothing(tmp_path: Path, calm: Calm, seed: int) -> None:
     faults = Faults(seed, loss=0.15, duplication=0.3, delay=0.05)
@@ -134,6 +135,7 @@ def _has_recorded(limit: int, seen: RunStatus) -> bool:
     return seen.recorded >= limit
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("faults", [Faults(), Faults(7, loss=0.1, duplication=0.3, delay=0.03)])
 def test_stops_and_resumes_change_nothing(
     tmp_path: Path, calm: Calm, faults: Faults, monkeypatch: pytest.MonkeyPatch

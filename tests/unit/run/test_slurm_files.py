@@ -97,6 +97,7 @@ def program(folder: Path, name: str) -> None:
     path.chmod(0o755)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("hostile", HOSTILE)
 def test_a_shell_takes_every_value_as_it_is(tmp_path: Path, hostile: str) -> None:
     """The files are run, with programs that print their arguments in the place of the real ones."""
@@ -349,6 +350,7 @@ exec /bin/mv "$@"
 """
 
 
+@pytest.mark.rest
 def test_where_a_router_cannot_write_its_endpoint_it_tries_again(tmp_path: Path) -> None:
     """A full disk: without the note all jobs would wait for it until their time limits, in vain."""
     with job(tmp_path, ROUTER, mv=FULL_ONCE, perfbound='cp "$HOME/endpoint" "$SEEN"') as router:
@@ -358,6 +360,7 @@ def test_where_a_router_cannot_write_its_endpoint_it_tries_again(tmp_path: Path)
     assert fault == f"{tmp_path}/endpoint: cannot be written; make room, it is tried again\n"
 
 
+@pytest.mark.rest
 def test_the_end_of_a_campaign_is_noted_as_soon_as_there_is_room(tmp_path: Path) -> None:
     (tmp_path / "endpoint").write_text("tcp/node:1\n")
     with job(tmp_path, ORCHESTRATOR, mv=FULL_ONCE, perfbound="exit 0") as orchestrator:
@@ -390,6 +393,7 @@ def test_warned_of_its_time_limit_a_job_is_queued_again_whatever_signal_ends_its
     assert not (tmp_path / "ended").exists()
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("code", [0, 1])
 def test_a_campaign_that_ends_after_the_warning_is_not_queued_again(tmp_path: Path, code: int) -> None:
     (tmp_path / "endpoint").write_text("tcp/node:1\n")
@@ -468,6 +472,7 @@ def test_a_worker_with_a_fault_is_not_queued_again(tmp_path: Path) -> None:
     assert not (tmp_path / "again").exists()
 
 
+@pytest.mark.rest
 def test_an_orchestrator_whose_router_moves_in_its_first_session_resumes(tmp_path: Path) -> None:
     (tmp_path / "endpoint").write_text("tcp/old:1\n")
     (tmp_path / "run").mkdir()
@@ -515,6 +520,7 @@ def test_an_orchestrator_waits_for_one_that_slurm_has_lost_sight_of(
     assert (tmp_path / "seen").read_text() == "resume\n"
 
 
+@pytest.mark.rest
 def test_when_the_router_has_moved_the_others_connect_to_its_new_place(tmp_path: Path) -> None:
     (tmp_path / "bin").mkdir()
     worker = tmp_path / "bin" / "perfbound-worker"

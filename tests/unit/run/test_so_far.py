@@ -149,6 +149,7 @@ CASES = {
 }
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("name", CASES)
 def test_at_the_end_it_agrees_with_the_certificate(tmp_path: Path, name: str) -> None:
     config, function, noisy = CASES[name]
@@ -221,6 +222,7 @@ def in_words(directory: Path) -> str:
     return output.getvalue()
 
 
+@pytest.mark.rest
 def test_before_the_end_it_says_what_would_hold_and_what_is_expected(tmp_path: Path) -> None:
     cut(tmp_path, a_rigorous_one(max_tests=60), quiet, after=120)
     found, output = shown(tmp_path)
@@ -257,6 +259,7 @@ REQUIREMENTS = {
 }
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("after", [3, 17, 60])
 @pytest.mark.parametrize(
     ("problem", "changes"),
@@ -288,6 +291,7 @@ def test_every_kind_of_campaign_has_it_at_any_moment(
 RISK = {"centre": 0.5, "spread": 0.1}
 
 
+@pytest.mark.rest
 def test_the_first_claim_needs_no_bound_of_other_problems(tmp_path: Path) -> None:
     pair = ["nominal_robustness", "sim_gap"]
     changes = {

@@ -408,6 +408,7 @@ def campaigns(draw: st.DrawFn) -> dict[str, Any]:
     return draw(st.fixed_dictionaries(needed, optional=optional))
 
 
+@pytest.mark.rest
 @given(campaigns())
 def test_a_campaign_survives_the_way_through_json(values: dict[str, Any]) -> None:
     one = CampaignConfig.model_validate_json(json.dumps(values))

@@ -14,6 +14,7 @@ from perfbound.schemas.reference import page
 CAMPAIGNS = sorted((Path(__file__).parents[3] / "deploy" / "campaigns").glob("*.toml"))
 
 
+@pytest.mark.rest
 def test_json_schemas_are_current() -> None:
     assert {path.name: path.read_text() for path in FOLDER.glob("*.json")} == texts(), "run `make schemas`"
 

@@ -122,6 +122,7 @@ def test_more_knots_than_a_start_has_room_for_are_refused() -> None:
         parsed("".join(SIGNAL.replace("u =", f"u{k} =").replace("2", "100") for k in range(10)) + SIGNAL)
 
 
+@pytest.mark.rest
 def test_editors_know_the_keys() -> None:
     example = Path(__file__).parents[3] / "deploy" / "examples" / "follow" / "follow.toml"
     table = tomllib.loads(example.read_text())

@@ -378,6 +378,7 @@ VALUES = st.recursive(
 KEYS = [*Range.model_fields, "scenarios", "table"]
 
 
+@pytest.mark.rest
 @given(
     space=VALUES
     | st.dictionaries(

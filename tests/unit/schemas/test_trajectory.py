@@ -121,6 +121,7 @@ def test_a_transform_is_finite_and_has_the_right_shape() -> None:
 # The file
 
 
+@pytest.mark.rest
 @given(
     columns=st.lists(st.text(min_size=1), min_size=1, max_size=5, unique=True).filter(lambda names: "t" not in names),
     data=st.data(),

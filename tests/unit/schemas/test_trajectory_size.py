@@ -62,6 +62,7 @@ def test_names_that_would_become_many_objects_are_refused_unread(file: bytes) ->
     assert peak_of_reading(file) < 1.5 * len(file)
 
 
+@pytest.mark.rest
 def test_names_below_the_limit_take_a_bounded_multiple() -> None:
     file = a_file(request=json.dumps({"x": [[]] * (MAX_NAMES // 3 - 10)}, separators=(",", ":")).encode())
     read_mcap(file)

@@ -342,6 +342,7 @@ def test_what_was_compared_and_who_was_set_aside(tmp_path: Path) -> None:
 # Names and units
 
 
+@pytest.mark.rest
 def test_a_parameter_that_is_called_like_a_column_gets_another_name(tmp_path: Path) -> None:
     names = ("seed", "observation", "x")
     spec = SystemSpec(
@@ -402,6 +403,7 @@ def test_a_gap_has_the_unit_of_its_column() -> None:
 # Files
 
 
+@pytest.mark.rest
 def test_both_formats_say_the_same(campaign: Path) -> None:
     texts = exported(campaign)
     for path, number_of_rows in export.export(campaign, campaign / "p", form="parquet"):
@@ -585,6 +587,7 @@ def test_all_tables_show_one_moment(tmp_path: Path) -> None:
     assert [len(again[name]) for name in export.TABLES] == [1, 3, 0, 1, 0, 0, 0]
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("form", ["csv", "parquet"])
 def test_a_long_table_takes_little_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: export.Format) -> None:
     monkeypatch.setattr(export, "GROUP", 1000)

@@ -352,6 +352,7 @@ WAYS: dict[str, Callable[[Path], object]] = {
 }
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize(
     ("version", "named"),

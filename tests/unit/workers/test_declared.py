@@ -126,6 +126,7 @@ CHANGES: dict[str, tuple[str, Callable[[Path], object]]] = {
 }
 
 
+@pytest.mark.rest
 @ways
 @pytest.mark.parametrize("change", CHANGES)
 def test_another_file_is_another_system_and_has_a_name(folder: Path, way: Callable[[Path], str], change: str) -> None:

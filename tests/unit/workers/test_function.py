@@ -328,6 +328,7 @@ def test_a_file_is_a_system_with_its_code(folder: Path) -> None:
     assert "cars" in systems.available()
 
 
+@pytest.mark.rest
 def test_two_systems_of_a_folder_share_a_module_and_no_package(folder: Path) -> None:
     """Each names it; a package in an environment beside the file is not its code."""
     (folder / "shared_helper.py").write_text("GAIN = 2")

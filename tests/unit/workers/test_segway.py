@@ -90,6 +90,7 @@ def test_a_tilted_start_turns_about_the_axle() -> None:
     assert samples[0, 1:8] == pytest.approx([1.0, 2.0, 0.3, 0, 0, -0.4, 0], abs=1e-12)
 
 
+@pytest.mark.rest
 def test_nominal_has_no_noise_and_true_has_four() -> None:
     assert digest(rollout(1.0, 2.0, seed=1, horizon=1)) == digest(rollout(1.0, 2.0, seed=2, horizon=1))
     starts = np.array([rollout(1, 2, variant="true", seed=n, horizon=0).samples[0] for n in range(400)])

@@ -152,6 +152,7 @@ def test_a_cancelled_rollout_stops() -> None:
         simulate.run_request(a_request(), cancel)
 
 
+@pytest.mark.rest
 @pytest.mark.integration
 def test_specs_cost_no_simulator() -> None:
     import subprocess
