@@ -74,7 +74,6 @@ def verify(started: Processes, directory: Path) -> tuple[int, str]:
     return ended.code, ended.out
 
 
-@pytest.mark.journey
 def test_extended_killed_resumed_and_verified(started: Processes, directory: Path, ended_once: Path) -> None:
     calm = Path(shutil.copytree(ended_once, started.folder / "calm"))
     ended = started.run("perfbound", "resume", calm, "--max-tests", "60")

@@ -106,7 +106,6 @@ def test_the_written_file_runs_to_a_certificate(
     assert claims[0].quantity == quantity
 
 
-@pytest.mark.journey
 def test_the_proposed_constants_are_not_refuted_and_prove_something(folder: Processes, tmp_path: Path) -> None:
     file = tmp_path / "c.toml"
     wish = ("--specification", "always[0,12] (distance >= 2)", "--horizon", "12", "--out", file)

@@ -105,7 +105,6 @@ def test_a_claim_over_six_parameters_is_confirmed_by_random_starts(started: Proc
     assert least_distances(knots[inside], gap[inside], speed[inside]).min() - 2.0 >= 1.1364
 
 
-@pytest.mark.journey
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_killed_and_resumed_it_verifies(started: Processes, tmp_path: Path, name: str) -> None:
     kind, system, files, reference = SYSTEMS[name]

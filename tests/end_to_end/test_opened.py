@@ -91,7 +91,6 @@ def test_every_undeclared_file_is_found_and_none_that_is_not_read(started: Proce
     assert all(name in found["detail"] for name in (*PLANTED, AT_LOAD))
 
 
-@pytest.mark.journey
 def test_what_is_declared_is_not_named(started: Processes, plant: Path) -> None:
     names = [*PLANTED, AT_LOAD]
     reference = system(plant, "; ".join(PLANTED.values()), f'K = (HERE / "{AT_LOAD}").read_text()', f", files={names}")

@@ -62,7 +62,6 @@ def test_the_number_of_workers_changes_no_byte(started: Processes, folder: Path,
     assert certificate(tmp_path / "run") == certificate(folder / "run")
 
 
-@pytest.mark.journey
 @pytest.mark.usefixtures("ended")
 def test_killed_it_resumes_from_anywhere_and_verifies(started: Processes, folder: Path, tmp_path: Path) -> None:
     directory = tmp_path / "run"

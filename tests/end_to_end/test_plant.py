@@ -106,7 +106,6 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.journey
 @pytest.mark.parametrize("words", CHANGES)
 def test_another_plant_is_refused_by_its_name(
     started: Processes, runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: str

@@ -59,7 +59,6 @@ def test_the_output_has_the_shares(ended: Ended) -> None:
     assert [float(share) for share in found.groups()] == pytest.approx(DECIDED, abs=1.0)
 
 
-@pytest.mark.journey
 @pytest.mark.usefixtures("ended")
 def test_every_certified_box_is_right(folder: Path) -> None:
     """The corners of the boxes, against the closed form of the least distance."""

@@ -15,7 +15,6 @@ def test_the_file_of_the_page_on_requirements_gives_its_claims(started: Processe
     example.verify(started, tmp_path)
 
 
-@pytest.mark.journey
 def test_a_kill_in_between_changes_no_byte(started: Processes, tmp_path: Path) -> None:
     example = EXAMPLES["often.toml"]
     example.check(example.run(started, tmp_path))

@@ -13,6 +13,8 @@ from perfbound.schemas import keys
 from perfbound.schemas.errors import PerfboundError
 from perfbound.schemas.secret import VARIABLE
 
+pytestmark = pytest.mark.integration
+
 
 @pytest.fixture
 def fleet(monkeypatch: pytest.MonkeyPatch) -> Iterator[Fleet]:

@@ -15,6 +15,7 @@ def make(folder: Path) -> None:
     (folder / "content").write_text("whole")
 
 
+@pytest.mark.integration
 def test_a_folder_is_made_once_by_many_processes(tmp_path: Path) -> None:
     context = get_context("fork")
     processes = [context.Process(target=made_once, args=(tmp_path / "shared", make)) for _ in range(4)]

@@ -11,6 +11,8 @@ from perfbound.orchestrator.run.first_campaign import Wish, write_first_campaign
 from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import PerfboundError
 
+pytestmark = pytest.mark.integration
+
 HANGS = """import time
 from pathlib import Path
 import perfbound as pb

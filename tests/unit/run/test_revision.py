@@ -7,6 +7,8 @@ import pytest
 
 from perfbound.orchestrator.run.revision import revision
 
+pytestmark = pytest.mark.integration
+
 
 def git(folder: Path, *arguments: str) -> str:
     who = ("-c", "user.name=a", "-c", "user.email=a@b")

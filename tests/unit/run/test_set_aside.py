@@ -79,6 +79,7 @@ def test_a_broken_worker_is_named_set_aside_and_changes_nothing(tmp_path: Path) 
     assert json.loads(message(last))["workers"][name][0] == "set aside"
 
 
+@pytest.mark.integration
 def test_a_system_that_does_not_end_costs_two_deadlines_and_is_reported_with_its_start(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -50,6 +50,7 @@ def test_ready_alive_and_stopping(manager: socket.socket, monkeypatch: pytest.Mo
     ]
 
 
+@pytest.mark.integration
 def test_alive_outside_the_loop_until_it_turns_again(manager: socket.socket, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("WATCHDOG_USEC", "20000")
     systemd = Systemd()

@@ -38,6 +38,7 @@ def test_the_end_of_a_state_is_one_line_if_the_state_was_one(monkeypatch: pytest
     assert printed[3:] == ["none"], "the next break begins anew"
 
 
+@pytest.mark.integration
 def test_each_endpoint_is_tried_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(opening, "PAUSE", 0.0)
     tried: list[str] = []

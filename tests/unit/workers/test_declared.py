@@ -224,6 +224,7 @@ def test_a_file_that_is_replaced_while_a_worker_runs_ends_its_rollouts(
     assert simulate() == first
 
 
+@pytest.mark.integration
 def test_a_file_that_is_replaced_in_a_rollout_ends_it(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither its trajectory nor its exception is one of the system."""
     monkeypatch.setattr(systems, "_FROM_FILES", {})

@@ -164,6 +164,7 @@ def test_the_end_of_a_run_ends_a_rollout_under_way() -> None:
     assert running.ended() == "finished"
 
 
+@pytest.mark.integration
 def test_a_busy_worker_ends_with_its_run_and_delivers_nothing(begun: threading.Event) -> None:
     wire = Wire()
     running = Running(wire)

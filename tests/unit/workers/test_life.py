@@ -14,6 +14,8 @@ from perfbound.workers.systems.base import Cancelled
 from perfbound.workers.systems.life import signs_of_life
 from tests.patience import PATIENCE
 
+pytestmark = pytest.mark.integration
+
 
 @pytest.fixture(autouse=True)
 def fast(monkeypatch: pytest.MonkeyPatch) -> None:
