@@ -3,7 +3,12 @@
 import math
 from collections.abc import Sequence, Sized
 
-from .counterexample import DIGITS
+from ...schemas.certificate import CertificateClaim
+from ...schemas.claims import PROBABILITIES
+from ...schemas.errors import one_line
+
+DIGITS = 4
+"""After the point, of every printed number."""
 
 
 def outward(bound: float, sense: str) -> str:
@@ -20,6 +25,31 @@ def outward(bound: float, sense: str) -> str:
     if not math.isclose(scaled, nearest, rel_tol=0, abs_tol=1e-6):
         nearest = math.floor(scaled) if sense == ">=" else math.ceil(scaled)
     return f"{nearest / 10**DIGITS:.{DIGITS}f}"
+
+
+def in_unit(text: str, unit: str) -> str:
+    """Return a number with its unit, if it has one.
+
+    >>> in_unit("0.5", "m"), in_unit("0.5", "1"), in_unit("0.5", "")
+    ('0.5 m', '0.5', '0.5')
+    """
+    return text if unit in ("", "1") else f"{text} {one_line(unit)}"
+
+
+def margin_text(text: str, claim: CertificateClaim, unit: str) -> str:
+    """Return a number of a claim with the unit of the robustness, where it is one."""
+    return in_unit(text, claim_unit(claim, unit))
+
+
+def claim_unit(claim: CertificateClaim, unit: str) -> str:
+    """Return the unit of a claim's bound, by that of the robustness; empty where it has none, as a probability.
+
+    >>> made = {"sense": "<=", "bound": 0.01, "probability": 0.95, "rule": "single", "method": "sample",
+    ...         "assumptions": (), "refuted": ()}
+    >>> [claim_unit(CertificateClaim(quantity=each, **made), "m") for each in ("failure_probability", "quantile")]
+    ['', 'm']
+    """
+    return "" if unit == "1" or claim.quantity in {"J_star", "safe_share", *PROBABILITIES} else one_line(unit)
 
 
 def chance(probability: float, assumptions: Sized | None = None) -> str:

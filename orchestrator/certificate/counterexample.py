@@ -3,10 +3,7 @@
 from collections.abc import Mapping
 
 from ...schemas.certificate import Counterexample
-from ...schemas.errors import one_line
-
-DIGITS = 4
-"""After the point, of every printed number."""
+from .bound_text import DIGITS, in_unit
 
 
 def counterexample_words(found: Counterexample, unit: str, units: Mapping[str, str] | None = None) -> str:
@@ -34,7 +31,7 @@ def _shrunk_words(found: Counterexample, unit: str, units: Mapping[str, str] | N
 
 def margin_words(robustness: float, unit: str) -> str:
     """Return a robustness with its unit, if it has one."""
-    return f"{robustness:.{DIGITS}f} {one_line(unit)}".removesuffix(" 1").rstrip()  # a value, no bound
+    return in_unit(f"{robustness:.{DIGITS}f}", unit)  # a value, no bound
 
 
 def named_start(start: Mapping[str, float], units: Mapping[str, str] | None = None) -> str:
@@ -43,6 +40,6 @@ def named_start(start: Mapping[str, float], units: Mapping[str, str] | None = No
     >>> named_start({"mass": 0.25, "gap": 5.0}, {"gap": "m", "mass": "1"})
     'gap = 5 m, mass = 0.25'
     """
-    shown = {name: "" if unit == "1" else one_line(unit) for name, unit in (units or {}).items()}
+    shown = units or {}
     names = [name for name in shown if name in start] + [name for name in start if name not in shown]
-    return ", ".join(f"{name} = {start[name]:.7g} {shown.get(name, '')}".rstrip() for name in names)
+    return ", ".join(in_unit(f"{name} = {start[name]:.7g}", shown.get(name, "")) for name in names)

@@ -3,8 +3,8 @@
 from collections.abc import Mapping, Sequence
 
 from ...schemas.certificate import Assumption, Certificate
-from ...schemas.errors import one_line
 from ...schemas.system import SystemSpec
+from .bound_text import in_unit
 
 BETWEEN = ", "
 """Joins the numbers of a start, which is the value `start` of an assumption."""
@@ -24,7 +24,7 @@ def start_words(numbers: Sequence[str], units: Mapping[str, str]) -> str:
     if len(numbers) != len(units):
         return BETWEEN.join(numbers)
     pairs = zip(numbers, units.items(), strict=True)
-    each = (f"{name} = {number} {'' if unit == '1' else one_line(unit)}".rstrip() for number, (name, unit) in pairs)
+    each = (in_unit(f"{name} = {number}", unit) for number, (name, unit) in pairs)
     return BETWEEN.join(each)
 
 

@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.certificate import CertificateClaim, Predicate, ProblemResult
-from ...schemas.claims import PROBABILITIES, is_sampled
-from ...schemas.errors import one_line
+from ...schemas.claims import is_sampled
 from ...schemas.facts import Header
 from ...schemas.problems import OBJECTIVES, Quantity, Reading
 from ...schemas.verdict import ByRollouts, VerdictWord, Violations
@@ -20,7 +19,7 @@ from ..campaign.clip import SAME, hiding, reach_of
 from ..mathematics.bounds.opposite import OppositeTest
 from ..store.export_tables import robustness_unit
 from ..store.robustness import RolloutValue
-from .bound_text import clip_words, if_they_hold, outward
+from .bound_text import clip_words, if_they_hold, margin_text, outward
 from .counterexample import margin_words, named_start
 from .named_starts import parameter_units
 from .text import claim_words
@@ -65,23 +64,6 @@ class VerdictFinding:
 def capitalised(words: str) -> str:
     """Return words with a capital at their beginning, and no other one changed."""
     return f"{words[0].upper()}{words[1:]}"
-
-
-def margin_text(text: str, claim: CertificateClaim, unit: str) -> str:
-    """Return a number of a claim with the unit of the robustness, where it is one."""
-    return f"{text} {claim_unit(claim, unit)}".rstrip()
-
-
-def claim_unit(claim: CertificateClaim, unit: str) -> str:
-    """Return the unit of a claim's bound, by that of the robustness; empty where it has none, as a probability.
-
-    >>> made = {"sense": "<=", "bound": 0.01, "probability": 0.95, "rule": "single", "method": "sample",
-    ...         "assumptions": (), "refuted": ()}
-    >>> [claim_unit(CertificateClaim(quantity=each, **made), "m") for each in ("failure_probability", "quantile")]
-    ['', 'm']
-    """
-    has = unit not in ("", "1") and claim.quantity not in PROBABILITIES and claim.quantity != "J_star"
-    return one_line(unit) if has else ""
 
 
 def chance_words(claim: CertificateClaim) -> str:

@@ -23,13 +23,12 @@ from ...schemas.certificate import (
 )
 from ...schemas.claims import PROBABILITIES, is_sampled
 from ...schemas.composition import composes
-from ...schemas.errors import one_line
 from ...schemas.problems import OBJECTIVES, Quantity
 from ..campaign.clip import SAME, floored, is_vacuous
 from .assumption_text import print_list
-from .bound_text import chance, clip_words, outward, short_chance
+from .bound_text import DIGITS, chance, clip_words, margin_text, outward, short_chance
 from .console_lines import hanging, heading, plain_line
-from .counterexample import DIGITS, counterexample_words
+from .counterexample import counterexample_words
 from .named_starts import start_words, with_named_starts
 from .refutation_text import refutation_sentence, risk_sentence
 from .region_text import region_sentences
@@ -190,9 +189,7 @@ def other_claims(predicate: Predicate, unit: str, most: int) -> tuple[str, ...]:
 
 
 def _claim_heading(claim: CertificateClaim, unit: str) -> str:
-    of_robustness = claim.quantity not in {"J_star", "safe_share", *PROBABILITIES}
-    shown = f"{_bound(claim)} {one_line(unit)}" if of_robustness and unit not in {"", "1"} else _bound(claim)
-    return f"{claim_words(claim)} {claim.sense} {shown}"
+    return f"{claim_words(claim)} {claim.sense} {margin_text(_bound(claim), claim, unit)}"
 
 
 def notes(predicate: Predicate, number: int) -> tuple[str, ...]:

@@ -23,7 +23,7 @@ from .advice import (
     instead_of_refuted,
 )
 from .bases import bases
-from .bound_text import clip_words, outward
+from .bound_text import claim_unit, clip_words, margin_text, outward
 from .opposite import (
     SAY_LIMIT,
     WORST,
@@ -32,11 +32,9 @@ from .opposite import (
     VerdictFinding,
     capitalised,
     chance_words,
-    claim_unit,
     clip_of_other_side,
     drawn_samples,
     is_deterministic,
-    margin_text,
     other_side,
     suspected,
     too_unlikely,

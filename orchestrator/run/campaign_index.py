@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Literal
 from urllib.parse import quote
 
-from ...schemas.errors import PerfboundError, one_line, shortened
+from ...schemas.errors import PerfboundError, shortened
 from ...schemas.facts import Header
 from ...schemas.values import ProblemProgress
 from ...schemas.verdict import CampaignVerdict, VerdictWord
 from ..campaign.forecast import budget
-from ..certificate.bound_text import outward
+from ..certificate.bound_text import in_unit, outward
 from ..certificate.files import CERTIFICATE
 from ..store import lock
 from ..store.export_tables import robustness_unit
@@ -290,8 +290,7 @@ def _bound_so_far(header: Header, progress: Sequence[ProblemProgress]) -> str:
         return ""
     if config.sense_of(problem) == "max":
         return f"<= {outward(bound, '<=')}"
-    unit = robustness_unit(config, header.spec)
-    return f">= {outward(bound, '>=')} {'' if unit == '1' else one_line(unit)}".rstrip()
+    return f">= {in_unit(outward(bound, '>='), robustness_unit(config, header.spec))}"
 
 
 def _stamp(directory: Path) -> _Stamp:

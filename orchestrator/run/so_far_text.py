@@ -6,7 +6,8 @@ from typing import NamedTuple
 from ...schemas.certificate import Assumption
 from ...schemas.errors import one_line
 from ...schemas.so_far import Expected, SoFar, Span
-from ..certificate.bound_text import outward
+from ..certificate.bound_text import in_unit, outward
+from ..certificate.counterexample import margin_words
 from .format import duration
 from .verdict import violations_in_words
 
@@ -30,7 +31,7 @@ def holding_rows(found: SoFar, *, running: bool = True) -> tuple[HoldingRow, Hol
     """Return the row of what is proven so far, and that of what is expected at the end, in the time that it runs."""
     ahead = found.expected
     chance = "-" if found.probability is None else f"at least {outward(found.probability, '>=')}"
-    bound = None if found.bound is None else _in_unit(outward(found.bound, found.sense), found.bound_unit)
+    bound = None if found.bound is None else in_unit(outward(found.bound, found.sense), found.bound_unit)
     proven = "nothing yet" if bound is None else f"{found.sense} {bound}{', refuted' if found.refuted else ''}"
     count = "-" if ahead.tests is None else _span_words(ahead.tests)
     down = running and found.link_down_since is not None
@@ -91,8 +92,7 @@ def violations_so_far(found: SoFar) -> str:
     seen = found.violations
     if not seen.rollouts or seen.least is None:
         return ""
-    margin = _in_unit(f"{seen.least:.4f}", found.unit)
-    return f"{violations_in_words(seen)} so far; the worst {margin}"
+    return f"{violations_in_words(seen)} so far; the worst {margin_words(seen.least, found.unit)}"
 
 
 def so_far_line(found: SoFar) -> str:
@@ -110,16 +110,12 @@ def _expected_bound(found: SoFar) -> str:
     if span is None:
         return "no forecast yet" if found.expected.by_budget else "no forecast"
     if span.low == span.high:  # its problem has ended
-        end = _in_unit(outward(span.low, found.sense), found.bound_unit)
+        end = in_unit(outward(span.low, found.sense), found.bound_unit)
         return f"{found.sense} {end}{', refuted' if found.refuted else ''}"
     low, high = f"{span.low:.4g}", f"{span.high:.4g}"
-    return f"about {span.middle:.4g} ({low} to {_in_unit(high, found.bound_unit)})"
+    return f"about {span.middle:.4g} ({low} to {in_unit(high, found.bound_unit)})"
 
 
 def _span_words(span: Span) -> str:
     low, high = math.floor(span.low), math.ceil(span.high)
     return f"{low:,}" if low == high else f"about {round(span.middle):,} ({low:,} to {high:,})"
-
-
-def _in_unit(text: str, unit: str) -> str:
-    return text if unit in ("", "1") else f"{text} {one_line(unit)}"

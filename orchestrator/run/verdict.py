@@ -4,10 +4,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ...schemas.certificate import Certificate
-from ...schemas.errors import one_line
 from ...schemas.facts import Header
 from ...schemas.verdict import CampaignVerdict, VerdictWord, Violations
 from ..certificate.advice import Commands
+from ..certificate.counterexample import margin_words
 from ..certificate.verdict import campaign_verdict
 from ..fleet.child import in_file
 from ..store.export_tables import robustness_unit
@@ -79,7 +79,7 @@ def violation_words(found: CampaignVerdict) -> str:
     seen = found.violations
     if not seen.rollouts or seen.least is None:
         return ""
-    margin = f"{seen.least:.4f} {'' if found.unit == '1' else one_line(found.unit)}".rstrip()
+    margin = margin_words(seen.least, found.unit)
     worst = f"the worst {margin}, or lower: the clip" if found.clipped else f"the worst {margin}"
     count = violations_in_words(seen)
     if not seen.violations:
