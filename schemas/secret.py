@@ -88,7 +88,7 @@ def check_own_folder(folder: Path) -> None:
         OSError: the folder cannot be made.
 
     """
-    # A link is judged as one below, and refused: whoever may change it could lead it elsewhere.
+    # A link is judged as one below, and refused: everyone who may change it could lead it elsewhere.
     if not folder.is_symlink():
         make_private_folder(folder)
     found = folder.lstat()

@@ -1,7 +1,7 @@
 """Tiers of tests by cost, as markers by folder, and what a unit test may not do.
 
 `make test` runs what has no marker `rest`: unit and contract tests, and one journey of each capability end to end.
-`make test-all` runs everything. What `rest` means for a folder stands in `RUNS_ALWAYS`.
+`make test-all` runs everything. `RUNS_ALWAYS` has the folders that it does not apply to.
 """
 
 import multiprocessing.process

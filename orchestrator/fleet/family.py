@@ -47,7 +47,7 @@ def held_signals() -> Iterator[Callable[[], None]]:
 
 def end_family(process: "subprocess.Popen[bytes] | subprocess.Popen[str]", *, stack: bool = False) -> None:
     """End a child and everything that it started; with `stack` it writes where it is, if it has `STACK_WRITER`."""
-    # Before the kill: without their parent they cannot be told from other processes.
+    # Before the kill: without their parent nothing distinguishes them from other processes.
     started = descendants(process.pid) if process.returncode is None else []
     if stack and process.poll() is None:
         process.send_signal(signal.SIGABRT)

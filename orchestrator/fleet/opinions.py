@@ -48,7 +48,7 @@ def consider(state: DispatchState, event: Delivered) -> Decision:
     """Take a valid result of an open rollout."""
     name, rollout = event.worker, event.attempt.rollout
     known = state.open[rollout]
-    # Dropped, and acknowledged all the same, or the worker would deliver it for ever.
+    # Dropped, and acknowledged all the same, or the worker would deliver it again and again.
     if is_outvoted(state, name):
         return Decision(queued_again(state, rollout), counts=False)
     # A rollout that is compared stays so: an opinion for honesty is not settled by the rules of a doubt.

@@ -33,6 +33,6 @@ def certify(directory: Path, ledger: Ledger, report_end: Callable[[], None] | No
     table = None if regions is None else regions.csv
     files.write(directory, certificate, found.text, table, table_digests(directory))
     if report_end is not None:
-        # After the certificate is on the disk: a worker that is told so drops all its results.
+        # After the certificate is on the disk: a worker that gets this message drops all its results.
         report_end()
     remove_so_far(directory)

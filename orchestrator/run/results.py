@@ -60,7 +60,7 @@ class Results:
             self._decoder.submit(result, self.request(attempt.rollout))
             return ()
         if header.outcome == "failed":
-            # The worker has decided the kind, by the place of the fault; from here it cannot be told.
+            # The worker has decided the kind, by the place of the fault; it cannot be found out here.
             failure = Failure(header.kind or "infrastructure", header.error or "the worker gave no reason")
         elif is_open:
             failure = self._admit(attempt, result, decoded)
