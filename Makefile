@@ -29,7 +29,7 @@ help: ## List the targets
 $(INSTALLED): $(wildcard $(LOCK).txt) pyproject.toml
 	@test -n "$(filter $(VERSION),$(VERSIONS))" || { \
 	  echo "perfbound needs Python $(VERSIONS), and $(PYTHON) is $(or $(VERSION),missing): choose one with PYTHON=..." >&2; exit 1; }
-	@test -x $(BIN)/python || echo "Installing into $(VENV) with $(PYTHON) $(VERSION): 210 MB to download, 840 MB on the disk;" \
+	@test -x $(BIN)/python || echo "Installing into $(VENV) with Python $(VERSION): 210 MB to download, 840 MB on the disk;" \
 	  "tests need 150 MB more. $(if $(filter 3.11,$(VERSION)),,The Segway needs one more package here: CONTRIBUTING.md, Python versions.)"
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@$(BIN)/python -c 'import sys; sys.exit("%d.%d" % sys.version_info[:2] != "$(VERSION)")' || { \
