@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from .schemas.certificate import MAX_CERTIFICATE, Certificate
 from .schemas.outside import read_outside
 from .schemas.ranges import MAX_FILE_BYTES
-from .schemas.trajectory import Trajectory, decode
+from .schemas.result.certificate import MAX_CERTIFICATE, Certificate
+from .schemas.trajectory.trajectory import Trajectory, decode
 
 __all__ = ["Certificate", "Trajectory", "read_certificate", "read_trajectory"]
 

@@ -1,9 +1,9 @@
 """The public API for systems under test: everything that a simulator of one's own imports."""
 
 from .schemas.errors import SimulationError
-from .schemas.input_signal import InputSignal
 from .schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, Variant
-from .schemas.trajectory import Trajectory, Transform, Visual
+from .schemas.trajectory.input_signal import InputSignal
+from .schemas.trajectory.trajectory import Trajectory, Transform, Visual
 from .workers.systems.base import Cancelled, Progress, SystemUnderTest, checked_options
 from .workers.systems.function import system
 from .workers.systems.place import Worker

@@ -5,10 +5,10 @@ from pathlib import Path
 
 from pydantic import BaseModel, TypeAdapter
 
-from .campaign import CampaignConfig
-from .campaign_defaults import file_schema
-from .certificate import Certificate
-from .messages import (
+from .file.config import CampaignConfig
+from .file.defaults import file_schema
+from .file.reference import page
+from .link.messages import (
     Ack,
     Assign,
     Cancel,
@@ -19,7 +19,7 @@ from .messages import (
     RunFinished,
     WorkerState,
 )
-from .reference import page
+from .result.certificate import Certificate
 from .rollout import RolloutRequest
 from .system import SystemSpec
 

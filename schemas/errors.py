@@ -1,6 +1,6 @@
 """The known errors: one family with one base, each one line of text with the place, the fault and the remedy."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 
 class PerfboundError(Exception):
@@ -149,3 +149,22 @@ def _cut(text: str, longest: int) -> str:
         return text
     end = longest // 3  # where the place of a fault is named
     return text[: longest - end - len(_GAP)] + _GAP + text[-end:]
+
+
+def nearest_name(given: str, allowed: Iterable[str]) -> str:
+    """Return the one of the `allowed` names that is nearest to a misspelt one; empty if none is near.
+
+    >>> nearest_name("Horizont", ["horizon", "seed"]), nearest_name("wind", ["gains"])
+    ('horizon', '')
+    """
+    import difflib  # noqa: PLC0415  (late: only a mistake needs it)
+
+    small = {each.lower(): each for each in allowed}
+    near = difflib.get_close_matches(given.lower(), small, 1)
+    return small[near[0]] if near else ""
+
+
+def meant(given: str, allowed: Iterable[str]) -> str:
+    """Return the question that a message has before the allowed names: `did you mean 'NAME'? `, or nothing."""
+    near = nearest_name(given, allowed)
+    return f"did you mean {near!r}? " if near else ""

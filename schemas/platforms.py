@@ -4,6 +4,7 @@ The C library and numpy choose their sin, tanh or atan2 by the instruction sets 
 differ in its last bits.
 """
 
+import os
 import platform
 from functools import cache
 from pathlib import Path
@@ -40,3 +41,9 @@ def cpu() -> str:
     if "vendor_id" not in fields:  # not of the x86 family
         return platform.machine()
     return " ".join([fields["vendor_id"], fields.get("cpu family", "?"), *present])
+
+
+def one_blas_thread() -> None:
+    """Have BLAS use one thread: its number decides the last digits. Call it before numpy is loaded."""
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"

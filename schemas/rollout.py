@@ -7,9 +7,9 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from .base import Model
+from .file.signals import SignalShape
 from .ids import RolloutId
 from .ranges import Magnitude, ReplicateNumber, Seconds, Seed, TestNumber
-from .signals import SignalShape
 from .system import OptionValue, SystemSpec, Variant
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]

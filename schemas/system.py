@@ -9,8 +9,8 @@ from pydantic import Field, ValidationError, model_validator
 
 from .base import Model, digest
 from .errors import DefinitionError, shortened
+from .file.signals import SignalShape
 from .ranges import MAX_FILE_BYTES, SEED_BITS, FileBytes, Magnitude, Seconds, SeedBits
-from .signals import SignalShape
 from .values import Stamps
 
 DECIDES_NO_ROLLOUT = {"default_horizon", "trajectory_bytes"}

@@ -5,7 +5,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from perfbound.schemas.campaign import CampaignConfig
+from perfbound.schemas.file.config import CampaignConfig
 
 FOLDER = Path(__file__).parents[1] / "deploy" / "campaigns"
 PAIR = Path(__file__).parent / "fixtures" / "segway-pair.toml"

@@ -23,10 +23,10 @@ import numpy as np
 from ..schemas.descendants import descendants
 from ..schemas.errors import PerfboundError, SimulationError
 from ..schemas.instants import stamps, uncovered
-from ..schemas.messages import MAX_RESULT
+from ..schemas.link.messages import MAX_RESULT
 from ..schemas.places import of_perfbound, own_place
 from ..schemas.system_check import Measured, SampleTimes, Trial
-from ..schemas.trajectory import Trajectory, decode
+from ..schemas.trajectory.trajectory import Trajectory, decode
 from .faults import NOT_OF_SYSTEMS
 from .opened import Opened
 from .simulate import requested_system, run_request_on

@@ -11,15 +11,15 @@ from typing import Any
 
 import click
 
-from ..schemas import keys
 from ..schemas.atomic import replacing
 from ..schemas.base import canonical_json
-from ..schemas.blas import one_blas_thread
-from ..schemas.certificates import check_role, common_name
 from ..schemas.errors import LinkError, PerfboundError
 from ..schemas.host import host_fault
-from ..schemas.link import Tls, asks_for_secret
-from ..schemas.secret import VARIABLE, WEB_VARIABLE, shared_secret
+from ..schemas.link import key_expressions
+from ..schemas.link.configuration import Tls, asks_for_secret
+from ..schemas.link.secret import VARIABLE, WEB_VARIABLE, shared_secret
+from ..schemas.link.tls_files import check_role, common_name
+from ..schemas.platforms import one_blas_thread
 from .answers import answer
 from .ends import IDLE_EXIT, STOP_WITHIN, EndOptions
 from .failing import fail
@@ -156,7 +156,7 @@ def serve(
         if tls and identity is None:  # local workers show the certificate of their orchestrator
             check_role(tls.certificate, "worker")
         own = common_name(tls.certificate) if tls else ""
-        name = name or (own if keys.NAME.fullmatch(own) else "worker")
+        name = name or (own if key_expressions.NAME.fullmatch(own) else "worker")
         from .serving import Life, LinkOptions, serve_campaigns  # noqa: PLC0415
 
         link, life = LinkOptions(endpoints, tls, secret, own), Life(options, stopping)

@@ -16,8 +16,8 @@ from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 
-from ..schemas.campaign_file import load_description
 from ..schemas.errors import PerfboundError
+from ..schemas.file.reader import load_description
 from ..schemas.places import PACKAGES, of_perfbound
 from ..schemas.system import SystemSpec
 from .systems.fingerprint import required_by, versions_of

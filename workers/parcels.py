@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from ..schemas.failure import Failure
-from ..schemas.messages import Assign, ResultHeader
-from ..schemas.seal import result_proof
+from ..schemas.link.messages import Assign, ResultHeader
+from ..schemas.link.seal import result_proof
 from .transport import Uplink
 
 Key = tuple[str, int]

@@ -8,13 +8,12 @@ from typing import NamedTuple
 
 import click
 
-from ..schemas import keys
-from ..schemas.certificates import check_valid
 from ..schemas.errors import RefusedError
-from ..schemas.link import Tls
-from ..schemas.opening import UNLINKED
-from ..schemas.reminder import Reminder, StateLines
-from ..schemas.unanswered import no_link, no_orchestrator
+from ..schemas.link import key_expressions
+from ..schemas.link.configuration import Tls
+from ..schemas.link.reminder import Reminder, StateLines
+from ..schemas.link.tls_files import check_valid
+from ..schemas.link.unanswered import UNLINKED, no_link, no_orchestrator
 from .ends import EndOptions, gone_since, is_abandoned
 from .failing import fail
 from .stopping import STOPPED, Stopping
@@ -82,7 +81,10 @@ def serve_campaigns(link: LinkOptions, life: Life, name: str, *, run: str | None
         LinkError: the endpoint is malformed, or a TLS file is missing or no longer valid.
 
     """
-    started, finished = identity or keys.fresh_id(name), set[str]()  # orchestrators that need this worker no more
+    started, finished = (
+        identity or key_expressions.fresh_id(name),
+        set[str](),
+    )  # orchestrators that need this worker no more
     # What a local worker does, its orchestrator shows.
     print_news = _print_line if identity is None else _print_nothing
     lines = StateLines(
@@ -121,7 +123,7 @@ def serve_campaigns(link: LinkOptions, life: Life, name: str, *, run: str | None
                 if life.ends.until_done and not _to_serve(uplink, run, finished):
                     return 0
             # A fresh name for each run: with that of the orchestrator it is the nonce of all seals.
-            started = keys.fresh_id(name)
+            started = key_expressions.fresh_id(name)
 
 
 def _link_checks(

@@ -1,10 +1,10 @@
 """One rollout on this worker: from the request to the bytes of the trajectory's file."""
 
-from ..schemas.early_end import held, with_end
 from ..schemas.errors import SimulationError
-from ..schemas.input_signal import start_values
 from ..schemas.rollout import RolloutRequest
-from ..schemas.trajectory import encode
+from ..schemas.trajectory.early_end import held, with_end
+from ..schemas.trajectory.input_signal import start_values
+from ..schemas.trajectory.trajectory import encode
 from .systems import load_system
 from .systems.base import Progress, SystemUnderTest
 

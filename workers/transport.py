@@ -7,12 +7,12 @@ from typing import Any, Protocol
 
 import zenoh
 
-from ..schemas import keys
 from ..schemas.errors import MessageError
-from ..schemas.link import Tls, connect_configs
-from ..schemas.messages import Request, ResultHeader, WorkerState
-from ..schemas.opening import first_opened
-from ..schemas.sealed import Packet, WorkerEnd
+from ..schemas.link import key_expressions
+from ..schemas.link.configuration import Tls, connect_configs
+from ..schemas.link.ends import Packet, WorkerEnd
+from ..schemas.link.messages import Request, ResultHeader, WorkerState
+from ..schemas.link.unanswered import first_opened
 
 Receiver = Callable[[Request], None]
 
@@ -50,9 +50,13 @@ class ZenohUplink:
         self._joined: tuple[Any, ...] = ()
         self._threads: list[threading.Thread] = []
         liveliness = session.liveliness()
-        tokens = liveliness.declare_subscriber(keys.ANY_ORCHESTRATOR, zenoh.handlers.FifoChannel(1024), history=True)
+        tokens = liveliness.declare_subscriber(
+            key_expressions.ANY_ORCHESTRATOR, zenoh.handlers.FifoChannel(1024), history=True
+        )
         self._pump(tokens, self._see)
-        routers = liveliness.declare_subscriber(keys.live_router("*"), zenoh.handlers.FifoChannel(1024), history=True)
+        routers = liveliness.declare_subscriber(
+            key_expressions.live_router("*"), zenoh.handlers.FifoChannel(1024), history=True
+        )
         self._pump(routers, lambda each: self._end.router(str(each.key_expr), alive=each.kind == zenoh.SampleKind.PUT))
 
     @property
@@ -81,9 +85,11 @@ class ZenohUplink:
     def join(self, run: str, worker: str, receive: Receiver) -> None:
         """Subscribe to the requests to `worker`; its token comes last, because assignments follow it."""
         self._end.join(run, worker)
-        requests = self._session.declare_subscriber(keys.request_key(run, worker), zenoh.handlers.FifoChannel(1024))
+        requests = self._session.declare_subscriber(
+            key_expressions.request_key(run, worker), zenoh.handlers.FifoChannel(1024)
+        )
         self._pump(requests, lambda sample: self._pass_request(sample, receive))
-        token = self._session.liveliness().declare_token(keys.live_worker(run, worker))
+        token = self._session.liveliness().declare_token(key_expressions.live_worker(run, worker))
         self._joined = (token, requests)
 
     def leave(self) -> None:

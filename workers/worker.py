@@ -10,9 +10,9 @@ from typing import Literal
 from ..schemas import __version__
 from ..schemas.errors import PerfboundError, RefusedError, ReplacedError
 from ..schemas.failure import Failure, FailureKind
-from ..schemas.heartbeats import HEARTBEAT
 from ..schemas.host import host_name
-from ..schemas.messages import (
+from ..schemas.link.messages import (
+    HEARTBEAT,
     MAX_RESULT,
     PROTOCOL,
     Ack,

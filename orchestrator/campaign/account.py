@@ -5,8 +5,8 @@ from array import array
 from collections.abc import MutableSequence
 from dataclasses import dataclass, field, replace
 
-from ...schemas.facts import ExtensionFact, ObservationFact, RolloutFact, extended_link
-from ...schemas.problem_models import KernelProblem
+from ...schemas.file.problem_models import KernelProblem
+from ...schemas.result.facts import ExtensionFact, ObservationFact, RolloutFact, extended_link
 from ...schemas.values import Observation, Proposal
 from . import objectives
 from .plan import ProblemPlan

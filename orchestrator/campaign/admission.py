@@ -6,7 +6,7 @@ from ...schemas.base import canonical_json
 from ...schemas.errors import EvidenceError, RequestError, TrajectoryError, UnusableTrajectoryError
 from ...schemas.instants import uncovered
 from ...schemas.rollout import RolloutRequest
-from ...schemas.trajectory import Trajectory, read_canonical
+from ...schemas.trajectory.trajectory import Trajectory, read_canonical
 
 
 def admit(request: RolloutRequest, columns: tuple[str, ...], payload: bytes, sha256: str) -> Trajectory:

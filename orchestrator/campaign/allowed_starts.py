@@ -6,9 +6,9 @@ from typing import Protocol
 
 import numpy as np
 
-from ...schemas.facts import Header
-from ...schemas.parameters import parameter_ranges
-from ...schemas.space import Range
+from ...schemas.file.parameters import parameter_ranges
+from ...schemas.file.space import Range
+from ...schemas.result.facts import Header
 from ..mathematics.distributions import to_digits
 from ..mathematics.gp.kernels import Floats
 from .draws import DIGITS

@@ -4,7 +4,7 @@ from typing import Literal
 
 from ...schemas.errors import EvidenceError, PerfboundError, UnusableTrajectoryError
 from ...schemas.ids import RolloutId
-from ...schemas.trajectory import Trajectory
+from ...schemas.trajectory.trajectory import Trajectory
 from .ledger import Ledger
 from .objectives import measured
 from .observation import Others

@@ -4,7 +4,7 @@ from array import array
 from collections.abc import Mapping
 from dataclasses import replace
 
-from ...schemas.facts import BoundFact
+from ...schemas.result.facts import BoundFact
 from ...schemas.values import Bound
 from ..mathematics.bounds.joint import JointMethod
 from .account import Account

@@ -3,8 +3,8 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-from ...schemas.campaign_defaults import leaves_out_problems
-from ...schemas.toml_text import toml_comment, toml_key, toml_value
+from ...schemas.file.defaults import leaves_out_problems
+from ...schemas.file.toml_text import toml_comment, toml_key, toml_value
 from .calibration import Constant
 from .first_size import first_samples
 

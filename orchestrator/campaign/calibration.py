@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...schemas.campaign_defaults import derived_lengths
-from ...schemas.problems import MethodName
+from ...schemas.file.defaults import derived_lengths
+from ...schemas.file.objectives import MethodName
 from ..mathematics.calibration.kernel_fit import KernelFit
 from ..mathematics.calibration.noise import FALLS, MARGIN, largest_deviation, nearest_starts, noise_scale, pooled
 from ..mathematics.calibration.sampled import SampledValues

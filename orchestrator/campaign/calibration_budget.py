@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from ...schemas.campaign import CampaignConfig
+from ...schemas.file.config import CampaignConfig
 from ...schemas.values import Guess
 from ..mathematics.bounds.kriging_design import points_per_parameter
 from ..mathematics.bounds.kriging_method import KrigingMethod

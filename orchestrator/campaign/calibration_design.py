@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import CampaignError
-from ...schemas.parameters import parameter_ranges
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.parameters import parameter_ranges
 from ...schemas.system import SystemSpec
 from ..mathematics.calibration.noise import NOISIEST
 from ..mathematics.calibration.steepness import PLACES

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
-from ...schemas.problems import MethodName
+from ...schemas.file.objectives import MethodName
 from .calibration import Constant
 from .calibration_budget import budget_forecast
 from .calibration_tolerance import tolerance_forecast

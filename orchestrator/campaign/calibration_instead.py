@@ -4,10 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ...schemas.campaign import CampaignConfig
-from ...schemas.method_spaces import LATTICE_PARAMETERS
-from ...schemas.problem_models import KrigingProblem
-from ...schemas.problems import OBJECTIVES
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.method_spaces import LATTICE_PARAMETERS
+from ...schemas.file.objectives import OBJECTIVES
+from ...schemas.file.problem_models import KrigingProblem
 from ...schemas.system import SystemSpec
 from ...schemas.values import Guess
 from . import plan as plans

@@ -1,7 +1,7 @@
 """What the campaign file requires, where a calibration chooses the tolerance and says what the campaign will prove."""
 
-from ...schemas.campaign import CampaignConfig
-from ...schemas.problem_models import Problem
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.problem_models import Problem
 
 SHARE = 0.5
 """Of the distance between the worst start and what is required, the part that the tolerance may take."""

@@ -1,6 +1,6 @@
 """How long the rollouts of a calibrated campaign take."""
 
-from ...schemas.campaign import CampaignConfig
+from ...schemas.file.config import CampaignConfig
 from .first_size import LEAST_COST, PER_SECOND, WORKERS
 from .plan import ProblemPlan
 

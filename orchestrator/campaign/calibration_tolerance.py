@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...schemas.campaign import CampaignConfig
+from ...schemas.file.config import CampaignConfig
 from ...schemas.values import Bound, Observation
 from ..mathematics.bounds.rigorous import ExhaustedError, RigorousMethod
 from ..mathematics.calibration.kernel_fit import KernelFit

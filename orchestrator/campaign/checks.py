@@ -1,12 +1,12 @@
-"""All checks of a campaign against its system: those of `schemas.campaign_check`, and those of the parsed formula."""
+"""All checks of a campaign against its system: `schemas.file.against_system`, and those of the parsed formula."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from ...schemas.campaign import CampaignConfig
-from ...schemas.campaign_check import check_against
 from ...schemas.errors import CampaignError, check_all
-from ...schemas.space import space_kind
+from ...schemas.file.against_system import check_against
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.space import space_kind
 from ...schemas.system import SystemSpec
 from ..mathematics.stl.horizon import check_horizon
 from ..mathematics.stl.parser import FormulaError, columns, parse_formula

@@ -16,10 +16,10 @@ clip that no value can be beyond hides nothing (`reach`). Of the others:
 
 from functools import cache
 
-from ...schemas.campaign import CampaignConfig
-from ...schemas.claims import ClaimRequest
-from ...schemas.problem_models import Problem
-from ...schemas.problems import OBJECTIVES, Reading
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.drawn_claims import ClaimRequest
+from ...schemas.file.objectives import OBJECTIVES, Reading
+from ...schemas.file.problem_models import Problem
 from ...schemas.system import AfterEnd
 from ..mathematics.bounds.risk import RiskReading
 from ..mathematics.bounds.rounding import round_down, round_up

@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping
 
-from ...schemas.facts import Header, first_link
 from ...schemas.ids import RECHECK, RolloutId, closing_check
+from ...schemas.result.facts import Header, first_link
 from . import state
 from .account import Account
 from .bounded import bounded_accounts

@@ -6,8 +6,8 @@ Every function is pure: of the plan alone before the start, of the plan and the 
 import math
 from collections.abc import Iterator, Sequence
 
-from ...schemas.problem_models import KernelProblem, PaperProblem, Problem, RigorousProblem
-from ...schemas.problems import OBJECTIVES, replicates_are_robustness
+from ...schemas.file.objectives import OBJECTIVES, replicates_are_robustness
+from ...schemas.file.problem_models import KernelProblem, PaperProblem, Problem, RigorousProblem
 from ...schemas.system import SystemSpec
 from ..mathematics.bounds.audit import replicate_spread
 from ..mathematics.gp.lattice import Lattice

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Set
 from dataclasses import dataclass
 
 from ...schemas.ids import RolloutId
-from ...schemas.trajectory import Trajectory
+from ...schemas.trajectory.trajectory import Trajectory
 from ..mathematics.bounds.copied_blocks import CopiedBlocks
 from .account import Account
 

@@ -8,8 +8,8 @@ at one that depends on the outcomes.
 from collections.abc import Iterable
 from dataclasses import replace
 
-from ...schemas.campaign import CampaignConfig
-from ...schemas.facts import RolloutFact
+from ...schemas.file.config import CampaignConfig
+from ...schemas.result.facts import RolloutFact
 from ...schemas.values import Bound
 from .series import Series
 

@@ -6,9 +6,9 @@ from functools import partial
 from typing import Protocol
 
 from ...schemas.errors import PerfboundError
-from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact
 from ...schemas.ids import RolloutId
-from ...schemas.trajectory import Trajectory
+from ...schemas.result.facts import BoundFact, Header, ObservationFact, ProposalFact
+from ...schemas.trajectory.trajectory import Trajectory
 from ...schemas.values import Proposal
 from . import counterexample
 from .account import Account

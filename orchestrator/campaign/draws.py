@@ -7,9 +7,9 @@ from typing import TypeVar
 import numpy as np
 
 from ...schemas.errors import CampaignError
-from ...schemas.facts import Header
-from ...schemas.parameters import parameter_ranges
-from ...schemas.space import Box, Range, StartTable
+from ...schemas.file.parameters import parameter_ranges
+from ...schemas.file.space import Box, Range, StartTable
+from ...schemas.result.facts import Header
 from ..mathematics.distributions import to_digits, truncated
 from ..mathematics.sobol import BLOCK as BLOCK_OF_SOBOL
 from ..mathematics.sobol import sobol_blocks

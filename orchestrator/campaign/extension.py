@@ -7,7 +7,7 @@ one probability for all of them: then no choice of the last test can miss it.
 from collections.abc import Mapping
 
 from ...schemas.errors import CampaignError, IllegalEvent
-from ...schemas.facts import ExtensionFact
+from ...schemas.result.facts import ExtensionFact
 from .account import Account
 from .closing_checks import ClosingChecks
 from .plan import ProblemPlan, within_starts

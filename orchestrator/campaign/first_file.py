@@ -4,11 +4,11 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from ...schemas.errors import one_line
-from ...schemas.problems import ProblemName
-from ...schemas.signals import SignalShape
-from ...schemas.space import SystemChoice
+from ...schemas.file.objectives import ProblemName
+from ...schemas.file.signals import SignalShape
+from ...schemas.file.space import SystemChoice
+from ...schemas.file.toml_text import toml_comment, toml_key, toml_quoted, toml_value
 from ...schemas.system import Option, Parameter, SystemSpec
-from ...schemas.toml_text import toml_comment, toml_key, toml_quoted, toml_value
 from .first_size import EXACT, NOISY, FirstSize
 from .first_values import FirstValues
 from .questions import Question

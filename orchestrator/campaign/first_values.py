@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from ...schemas.problems import ProblemName
+    from ...schemas.file.objectives import ProblemName
 
 
 @dataclass(frozen=True, slots=True)

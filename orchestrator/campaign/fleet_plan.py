@@ -22,7 +22,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from ...schemas.heartbeats import heartbeat_interval
+from ...schemas.link.messages import heartbeat_interval
 from ...schemas.values import Guess
 
 RESULT_SECONDS = 1.8e-3

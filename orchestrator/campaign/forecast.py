@@ -3,8 +3,8 @@
 import math
 from typing import TYPE_CHECKING
 
-from ...schemas.campaign import CampaignConfig
-from ...schemas.problem_models import KernelProblem, PaperProblem, Problem, RigorousProblem
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.problem_models import KernelProblem, PaperProblem, Problem, RigorousProblem
 from ...schemas.values import Bound
 
 if TYPE_CHECKING:

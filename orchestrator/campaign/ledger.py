@@ -9,9 +9,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import IllegalEvent, JournalError, one_line
-from ...schemas.facts import (
+from ...schemas.file.config import CampaignConfig
+from ...schemas.ids import RolloutId
+from ...schemas.result.facts import (
     BoundFact,
     DiscardFact,
     ExtensionFact,
@@ -21,9 +22,8 @@ from ...schemas.facts import (
     RolloutFact,
     first_link,
 )
-from ...schemas.ids import RolloutId
 from ...schemas.rollout import RolloutRequest
-from ...schemas.trajectory import Trajectory
+from ...schemas.trajectory.trajectory import Trajectory
 from ..store import files as evidence
 from . import state
 from .account import Account

@@ -4,10 +4,9 @@ import math
 from collections.abc import Mapping
 from functools import partial
 
-from ...schemas.claims import DrawnClaim
 from ...schemas.errors import CampaignError
-from ...schemas.facts import Header
-from ...schemas.problem_models import (
+from ...schemas.file.drawn_claims import DrawnClaim
+from ...schemas.file.problem_models import (
     KernelProblem,
     KrigingProblem,
     Linearised,
@@ -16,6 +15,7 @@ from ...schemas.problem_models import (
     SampleProblem,
     ScenarioProblem,
 )
+from ...schemas.result.facts import Header
 from ..mathematics.bounds.confidence import Premises, mixture
 from ..mathematics.bounds.joint import JointMethod
 from ..mathematics.bounds.kriging import KrigingPremises

@@ -13,9 +13,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ...schemas.early_end import missing_share
 from ...schemas.system import AfterEnd
-from ...schemas.trajectory import Trajectory
+from ...schemas.trajectory.early_end import missing_share
+from ...schemas.trajectory.trajectory import Trajectory
 from ..mathematics.stl.predicates import check_grids
 from ..mathematics.stl.robustness import Evaluated, evaluated
 from ..mathematics.stl.tree import Formula

@@ -3,13 +3,13 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from weakref import WeakKeyDictionary
 
-from ...schemas.campaign import CampaignConfig
-from ...schemas.early_end import end_of
 from ...schemas.errors import CampaignError
-from ...schemas.problems import OBJECTIVES, replicates_are_robustness
-from ...schemas.requirements import parts_of
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.objectives import OBJECTIVES, replicates_are_robustness
+from ...schemas.file.parts import parts_of
 from ...schemas.system import SystemSpec
-from ...schemas.trajectory import Trajectory
+from ...schemas.trajectory.early_end import end_of
+from ...schemas.trajectory.trajectory import Trajectory
 from ...schemas.values import Observation
 from ..mathematics.bounds.risk import linearised
 from ..mathematics.stl.parser import Formula, parse_formula

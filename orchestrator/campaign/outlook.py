@@ -15,8 +15,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
 
-from ...schemas.campaign import CampaignConfig
-from ...schemas.problem_models import KrigingProblem, PaperProblem, Problem, SampleProblem
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.problem_models import KrigingProblem, PaperProblem, Problem, SampleProblem
 from ...schemas.values import Guess, ProblemProgress, distance_after
 from .forecast import FEWEST, budget
 

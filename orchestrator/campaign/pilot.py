@@ -16,10 +16,10 @@ from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
 
 import numpy as np
 
-from ...schemas.campaign_defaults import derived_lengths
 from ...schemas.errors import PerfboundError
+from ...schemas.file.defaults import derived_lengths
 from ...schemas.system import Parameter, SystemSpec
-from ...schemas.trajectory import Trajectory
+from ...schemas.trajectory.trajectory import Trajectory
 from ..mathematics.gp.kernels import Floats, Matern, scaled
 from ..mathematics.stl.parser import FormulaError, parse_formula
 from .first_values import Constants

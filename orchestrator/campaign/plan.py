@@ -4,14 +4,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from ...schemas.campaign import CampaignConfig
-from ...schemas.claims import SAMPLED, DrawnClaim
-from ...schemas.falsify import Falsify
-from ...schemas.parameters import parameter_ranges
-from ...schemas.problem_models import Gap, PaperProblem, Problem, RigorousProblem, SampleProblem
-from ...schemas.problems import OBJECTIVES, Objective, ProblemName, Reading, Sense, Statement, rolled_out
-from ...schemas.requirements import parts_of
-from ...schemas.space import Scenarios, StartTable
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.drawn_claims import SAMPLED, DrawnClaim
+from ...schemas.file.objectives import OBJECTIVES, Objective, ProblemName, Reading, Sense, Statement, rolled_out
+from ...schemas.file.parameters import parameter_ranges
+from ...schemas.file.parts import parts_of
+from ...schemas.file.problem_models import Falsify, Gap, PaperProblem, Problem, RigorousProblem, SampleProblem
+from ...schemas.file.space import Scenarios, StartTable
 from ...schemas.system import SystemSpec, Variant
 from ..mathematics.bounds.composition import derived_noise_scale
 from ..mathematics.bounds.risk import least_without_risk, linearised_range

@@ -5,8 +5,8 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Protocol
 
-from ...schemas.facts import Fact, Header, ProposalFact, RolloutFact
 from ...schemas.ids import RolloutId
+from ...schemas.result.facts import Fact, Header, ProposalFact, RolloutFact
 
 
 class FactStore(Protocol):

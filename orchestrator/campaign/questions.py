@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from ...schemas.meant import meant
-from ...schemas.toml_text import toml_comment, toml_value
+from ...schemas.errors import meant
+from ...schemas.file.toml_text import toml_comment, toml_value
 
 if TYPE_CHECKING:
-    from ...schemas.problems import ProblemName
+    from ...schemas.file.objectives import ProblemName
     from .first_file import FirstCampaign
     from .first_values import Constants
 

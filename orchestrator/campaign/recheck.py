@@ -5,10 +5,10 @@ from collections.abc import Mapping
 from itertools import accumulate
 
 from ...schemas.base import digest
-from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact
 from ...schemas.ids import RECHECK, RolloutId, of_extension
+from ...schemas.result.facts import BoundFact, Header, ObservationFact, ProposalFact
 from ...schemas.rollout import RolloutRequest
-from ...schemas.trajectory import Trajectory
+from ...schemas.trajectory.trajectory import Trajectory
 from ...schemas.values import Bound, Observation, Proposal
 from . import state
 from .copies import same_trajectory

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from ...schemas.facts import RolloutFact
 from ...schemas.ids import RolloutId
-from ...schemas.trajectory import Trajectory, decode
+from ...schemas.result.facts import RolloutFact
+from ...schemas.trajectory.trajectory import Trajectory, decode
 from ..store import files as evidence
 from .ports import FactStore
 

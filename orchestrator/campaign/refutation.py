@@ -8,8 +8,8 @@ methods that may end there; a claim that rests on what is refuted says so, whate
 from collections.abc import Mapping
 from dataclasses import replace
 
-from ...schemas.facts import Header
-from ...schemas.problem_models import RigorousProblem
+from ...schemas.file.problem_models import RigorousProblem
+from ...schemas.result.facts import Header
 from ...schemas.values import Bound
 from .account import Account
 from .bounded import bounded_accounts

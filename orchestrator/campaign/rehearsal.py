@@ -18,9 +18,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...schemas.facts import Header
-from ...schemas.problem_models import KernelProblem
-from ...schemas.trajectory import Floats, Trajectory
+from ...schemas.file.problem_models import KernelProblem
+from ...schemas.result.facts import Header
+from ...schemas.trajectory.trajectory import Floats, Trajectory
 from ...schemas.values import MARKED, Guess, Observation, Verdict, distance_after
 from ..mathematics.gp.kernels import scaled
 from .methods import kernel, method

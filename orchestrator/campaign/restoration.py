@@ -4,8 +4,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from ...schemas.errors import PerfboundError
-from ...schemas.facts import RolloutFact
 from ...schemas.ids import RolloutId
+from ...schemas.result.facts import RolloutFact
 from ..store import files as evidence
 from .ports import FileStore, RecordedRollouts
 

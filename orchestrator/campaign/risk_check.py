@@ -9,9 +9,9 @@ that their bound needs no union over the starts.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact
 from ...schemas.ids import RISK_CHECK, RolloutId, of_extension
-from ...schemas.trajectory import Trajectory
+from ...schemas.result.facts import BoundFact, Header, ObservationFact, ProposalFact
+from ...schemas.trajectory.trajectory import Trajectory
 from ...schemas.values import Bound, Observation, Proposal
 from ..mathematics.bounds.risk_upper import RiskUpperBound
 from . import state

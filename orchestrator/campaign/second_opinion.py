@@ -2,8 +2,8 @@
 
 import hashlib
 
-from ...schemas.facts import Header
 from ...schemas.ids import RolloutId
+from ...schemas.result.facts import Header
 
 BITS = 64
 

@@ -6,9 +6,9 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 
-from ...schemas.facts import Header
 from ...schemas.ids import RECHECK, RISK_CHECK, SPOT_CHECK, RolloutId, check_of_extension
 from ...schemas.ranges import SEED_BITS
+from ...schemas.result.facts import Header
 
 Floats = NDArray[np.float64]
 VARIANTS = ("nominal", "true")

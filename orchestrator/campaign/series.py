@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 from ...schemas.base import canonical_json
 from ...schemas.errors import IllegalEvent
-from ...schemas.facts import BoundFact, DiscardFact, ObservationFact, ProposalFact, RolloutFact, next_link
 from ...schemas.ids import RolloutId
+from ...schemas.result.facts import BoundFact, DiscardFact, ObservationFact, ProposalFact, RolloutFact, next_link
 from ...schemas.values import MARKED, Bound, Observation, ProblemProgress, Proposal, distance_after
 
 ROUND_OFF = 1e-9

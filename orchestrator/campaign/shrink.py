@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
 from ...schemas.ids import SHRINK, RolloutId
-from ...schemas.trajectory import Trajectory
+from ...schemas.result.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
+from ...schemas.trajectory.trajectory import Trajectory
 from ...schemas.values import Bound, Observation, Proposal
 from ..mathematics.gp.kernels import Floats
 from . import state

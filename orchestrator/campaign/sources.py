@@ -7,8 +7,8 @@ from typing import Protocol
 
 import numpy as np
 
-from ...schemas.facts import Header, ObservationFact
-from ...schemas.falsify import Falsify
+from ...schemas.file.problem_models import Falsify
+from ...schemas.result.facts import Header, ObservationFact
 from ...schemas.values import Bound, Proposal
 from ..mathematics.bounds.sample import SampleMethod
 from ..mathematics.search import Falsifier

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
 from ...schemas.ids import SPOT_CHECK, RolloutId, of_extension
-from ...schemas.trajectory import Trajectory
+from ...schemas.result.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
+from ...schemas.trajectory.trajectory import Trajectory
 from ...schemas.values import Bound, Observation
 from ..mathematics.bounds.rounding import round_up
 from ..mathematics.bounds.spot_check import Hypothesis, SpotFinding, SpotTests

@@ -4,12 +4,12 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from ...schemas.campaign import CampaignConfig
-from ...schemas.certificate import CertificateClaim, Predicate, ProblemResult
-from ...schemas.method_spaces import candidates
-from ...schemas.problem_models import KernelProblem, Problem
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.method_spaces import candidates
+from ...schemas.file.problem_models import KernelProblem, Problem
+from ...schemas.result.certificate import CertificateClaim, Predicate, ProblemResult
+from ...schemas.result.verdict import Violations
 from ...schemas.values import ProblemProgress
-from ...schemas.verdict import Violations
 from ..campaign.needed_tests import FOR_A_FORECAST, FURTHEST, NeededTests, needed_samples, needed_tests
 
 Progress = Callable[[], Sequence[ProblemProgress]]

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from rich.console import Console
 from rich.text import Text
 
-from ...schemas.certificate import Assumption
+from ...schemas.result.certificate import Assumption
 from .assumption_titles import title
 from .console_lines import hanging, plain_line
 

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
-from ...schemas.certificate import Assumption, CertifiedRegions, Recheck, SpotCheck, Status
-from ...schemas.composition import PAIR
-from ...schemas.problem_models import (
+from ...schemas.file.composition import PAIR
+from ...schemas.file.problem_models import (
     KrigingProblem,
     Linearised,
     PaperProblem,
@@ -16,6 +15,7 @@ from ...schemas.problem_models import (
     SampleProblem,
     ScenarioProblem,
 )
+from ...schemas.result.certificate import Assumption, CertifiedRegions, Recheck, SpotCheck, Status
 from ..campaign.account import Account
 from ..campaign.ledger import Ledger, observed_discards
 from ..campaign.methods import Methods, kernel

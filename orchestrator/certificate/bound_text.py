@@ -3,9 +3,9 @@
 import math
 from collections.abc import Sequence, Sized
 
-from ...schemas.certificate import CertificateClaim
-from ...schemas.claims import PROBABILITIES
 from ...schemas.errors import one_line
+from ...schemas.file.drawn_claims import PROBABILITIES
+from ...schemas.result.certificate import CertificateClaim
 
 DIGITS = 4
 """After the point, of every printed number."""

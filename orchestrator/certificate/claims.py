@@ -3,11 +3,11 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from ...schemas import certificate as document
-from ...schemas.campaign import CampaignConfig
-from ...schemas.claims import SAMPLED
-from ...schemas.composition import PAIR, Rule, composes
-from ...schemas.problems import Quantity
+from ...schemas.file.composition import PAIR, Rule, composes
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.drawn_claims import SAMPLED
+from ...schemas.file.objectives import Quantity
+from ...schemas.result import certificate as document
 from ..campaign.clip import hiding
 from ..campaign.methods import Methods
 from ..campaign.plan import UNBOUNDED, Plans, ProblemPlan

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from ...schemas import certificate as document
+from ...schemas.result import certificate as document
 from ..campaign.clip import hiding, reach_of
 from ..campaign.ledger import Ledger
 from ..campaign.objectives import mean

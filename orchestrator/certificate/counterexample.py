@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from ...schemas.certificate import Counterexample
+from ...schemas.result.certificate import Counterexample
 from .bound_text import DIGITS, in_unit
 
 

@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ...schemas import atomic
-from ...schemas.attempt_record import AttemptRecord, TableDigest
-from ...schemas.certificate import MAX_CERTIFICATE, Certificate, Subject
 from ...schemas.errors import EvidenceError
+from ...schemas.result.attempt_record import AttemptRecord, TableDigest
+from ...schemas.result.certificate import MAX_CERTIFICATE, Certificate, Subject
 from ..store import files
 from .sentences import in_own_words
 

@@ -5,10 +5,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
 
-from ...schemas import certificate as document
 from ...schemas.base import digest
-from ...schemas.facts import DiscardFact, Header
 from ...schemas.ids import RolloutId
+from ...schemas.result import certificate as document
+from ...schemas.result.facts import DiscardFact, Header
 from ..campaign.bounded import bounded_accounts
 from ..campaign.counterexample import counterexample
 from ..campaign.ledger import Ledger, observed_discards

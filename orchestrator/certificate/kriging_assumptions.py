@@ -2,8 +2,8 @@
 
 from collections.abc import Iterator
 
-from ...schemas.certificate import Assumption, Status
-from ...schemas.problem_models import KrigingProblem
+from ...schemas.file.problem_models import KrigingProblem
+from ...schemas.result.certificate import Assumption, Status
 from ..campaign.account import Account
 from ..campaign.plan import value_range
 from ..mathematics.bounds import audit

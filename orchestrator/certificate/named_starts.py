@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from ...schemas.certificate import Assumption, Certificate
+from ...schemas.result.certificate import Assumption, Certificate
 from ...schemas.system import SystemSpec
 from .bound_text import in_unit
 

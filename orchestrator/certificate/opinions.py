@@ -3,9 +3,9 @@
 import math
 from collections.abc import Iterable, Sequence
 
-from ...schemas.certificate import Assumption, Predicate
-from ...schemas.facts import Header
 from ...schemas.ids import RolloutId
+from ...schemas.result.certificate import Assumption, Predicate
+from ...schemas.result.facts import Header
 from ..campaign.second_opinion import is_chosen
 from ..mathematics.bounds.share import unseen_share
 from .sentences import assumption

@@ -9,12 +9,12 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 
-from ...schemas.campaign import CampaignConfig
-from ...schemas.certificate import CertificateClaim, Predicate, ProblemResult
-from ...schemas.claims import is_sampled
-from ...schemas.facts import Header
-from ...schemas.problems import OBJECTIVES, Quantity, Reading
-from ...schemas.verdict import ByRollouts, VerdictWord, Violations
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.drawn_claims import is_sampled
+from ...schemas.file.objectives import OBJECTIVES, Quantity, Reading
+from ...schemas.result.certificate import CertificateClaim, Predicate, ProblemResult
+from ...schemas.result.facts import Header
+from ...schemas.result.verdict import ByRollouts, VerdictWord, Violations
 from ..campaign.clip import SAME, hiding, reach_of
 from ..mathematics.bounds.opposite import OppositeTest
 from ..store.export_tables import robustness_unit

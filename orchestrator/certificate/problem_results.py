@@ -2,9 +2,9 @@
 
 from typing import Literal
 
-from ...schemas import certificate as document
-from ...schemas.problem_models import Linearised, PaperProblem, RigorousProblem, ScenarioProblem
-from ...schemas.problems import Sense
+from ...schemas.file.objectives import Sense
+from ...schemas.file.problem_models import Linearised, PaperProblem, RigorousProblem, ScenarioProblem
+from ...schemas.result import certificate as document
 from ..campaign.account import Account
 from ..campaign.plan import ProblemPlan
 from ..mathematics.bounds.paper_formulas import Tail, mills_probability

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from ...schemas.certificate import RiskAtStart
+from ...schemas.result.certificate import RiskAtStart
 from .assumption_titles import statement
 
 BY_DERIVATION = {"centred_noise"}

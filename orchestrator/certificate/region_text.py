@@ -3,8 +3,8 @@
 import math
 from collections.abc import Mapping
 
-from ...schemas.certificate import CertifiedRegions, Predicate
-from ...schemas.problems import Quantity
+from ...schemas.file.objectives import Quantity
+from ...schemas.result.certificate import CertifiedRegions, Predicate
 from .bound_text import clip_words
 
 SUBJECTS: Mapping[Quantity, str] = {

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...schemas import certificate as document
+from ...schemas.result import certificate as document
 from ..campaign.ledger import Ledger
 from ..campaign.plan import ProblemPlan, unsafe_below
 from ..mathematics.bounds.regions import MARGIN, SAFE, STATUSES, UNDECIDED, Regions, divide

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Set
 
-from ...schemas.certificate import Assumption
+from ...schemas.result.certificate import Assumption
 from ...schemas.system import Variant
 from ..campaign.account import Account
 from ..campaign.copies import copies, tested_copies

@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from ...schemas import certificate as document
-from ...schemas.campaign import CampaignConfig
-from ...schemas.composition import composes
-from ...schemas.problem_models import KernelProblem, RigorousProblem
+from ...schemas.file.composition import composes
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.problem_models import KernelProblem, RigorousProblem
+from ...schemas.result import certificate as document
 from ..campaign.account import Account
 from ..campaign.clip import by_clip, floored, is_vacuous, least_risk, of_drawn_starts
 from ..campaign.methods import Methods, ProblemMethod, kernel_method

@@ -6,8 +6,8 @@ A new assumption is a row of `SENTENCES` and a line in `assumptions.py`. The fie
 from collections.abc import Mapping
 
 from ...schemas import __version__
-from ...schemas.certificate import Assumption, Certificate, SpotCheckedProblem, Status
-from ...schemas.problems import OBJECTIVES
+from ...schemas.file.objectives import OBJECTIVES
+from ...schemas.result.certificate import Assumption, Certificate, SpotCheckedProblem, Status
 
 EDITED = "(the certificate was edited: this assumption has no such form, status and values; verify it.)"
 SIGNIFICANT = 6

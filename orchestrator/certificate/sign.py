@@ -20,9 +20,9 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey,
 from pydantic import ValidationError
 
 from ...schemas import atomic
-from ...schemas.attempt_record import MAX_RECORD
-from ...schemas.envelope import MAX_SIGNATURES, PAYLOAD_TYPE, DsseEnvelope, Signature
 from ...schemas.errors import EvidenceError, SignatureError
+from ...schemas.result.attempt_record import MAX_RECORD
+from ...schemas.result.certificate import MAX_SIGNATURES, PAYLOAD_TYPE, DsseEnvelope, Signature
 from ..store.files import contents
 from . import files
 from .keys import key_id

@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from ...schemas.certificate import Assumption, Predicate
-from ...schemas.facts import Header
-from ...schemas.verdict import CampaignVerdict, Violations
+from ...schemas.result.certificate import Assumption, Predicate
+from ...schemas.result.facts import Header
+from ...schemas.result.verdict import CampaignVerdict, Violations
 from ..campaign.account import Account
 from ..campaign.bounded import bounded_accounts
 from ..campaign.ledger import Ledger

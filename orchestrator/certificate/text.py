@@ -9,7 +9,10 @@ from collections.abc import Iterator, Mapping, Sequence, Sized
 from rich.console import Console
 from rich.text import Text
 
-from ...schemas.certificate import (
+from ...schemas.file.composition import composes
+from ...schemas.file.drawn_claims import PROBABILITIES, is_sampled
+from ...schemas.file.objectives import OBJECTIVES, Quantity
+from ...schemas.result.certificate import (
     Assumption,
     Certificate,
     CertificateClaim,
@@ -21,9 +24,6 @@ from ...schemas.certificate import (
     SpotCheck,
     SpotCheckedProblem,
 )
-from ...schemas.claims import PROBABILITIES, is_sampled
-from ...schemas.composition import composes
-from ...schemas.problems import OBJECTIVES, Quantity
 from ..campaign.clip import SAME, floored, is_vacuous
 from .assumption_text import print_list
 from .bound_text import DIGITS, chance, clip_words, margin_text, outward, short_chance

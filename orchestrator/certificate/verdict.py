@@ -4,13 +4,13 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from ...schemas.campaign import CampaignConfig
-from ...schemas.certificate import CertificateClaim, Predicate
-from ...schemas.claims import PROBABILITIES, is_sampled
-from ...schemas.facts import Header
-from ...schemas.problem_models import KernelProblem
-from ...schemas.requirements import parts_of
-from ...schemas.verdict import CampaignVerdict, Violations
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.drawn_claims import PROBABILITIES, is_sampled
+from ...schemas.file.parts import parts_of
+from ...schemas.file.problem_models import KernelProblem
+from ...schemas.result.certificate import CertificateClaim, Predicate
+from ...schemas.result.facts import Header
+from ...schemas.result.verdict import CampaignVerdict, Violations
 from ..campaign.clip import SAME
 from .advice import (
     NO_COMMANDS,

@@ -30,7 +30,7 @@ def calibrate(*, campaign: Path, rollouts: int, seed: int, workers: int, out: Pa
     it, since paths in it are relative to its folder: CAMPAIGN-calibrated.toml. Where no kernel is trustworthy, it is a
     campaign of method sample. Existing files stay as they are.
     """
-    from ...schemas.campaign_draft import load_draft  # noqa: PLC0415
+    from ...schemas.file.draft import load_draft  # noqa: PLC0415
 
     load_draft(campaign)  # a fault of the file is reported before the numerics are loaded
     from ..report.calibration import calibration_of, closing_lines, constants_table  # noqa: PLC0415

@@ -21,7 +21,7 @@ from .stderr import STDERR
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-    from ...schemas.verdict import CampaignVerdict
+    from ...schemas.result.verdict import CampaignVerdict
 
 REFUTED = 3
 """Exit code with --strict."""
@@ -171,7 +171,7 @@ def _run_new(
     drain: bool,
     **options: Any,
 ) -> None:
-    from ...schemas.campaign_file import load_campaign  # noqa: PLC0415
+    from ...schemas.file.reader import load_campaign  # noqa: PLC0415
 
     # Before hours of work: a wrong passphrase must not be noticed at their end.
     key = signing.load_key(sign) if sign else None

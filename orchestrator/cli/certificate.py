@@ -7,8 +7,7 @@ from typing import Literal
 
 import click
 
-from ...schemas.errors import one_line
-from ...schemas.meant import meant
+from ...schemas.errors import meant, one_line
 from . import signing
 from .early import check_directory
 from .group import RUN_DIRECTORY, cli, output_console

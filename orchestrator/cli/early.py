@@ -27,7 +27,7 @@ def check_folder(context: click.Context, _parameter: click.Parameter, directory:
 def check_campaign(context: click.Context, _parameter: click.Parameter, campaign: Path) -> Path:
     """Refuse a campaign file that is not there."""
     if not context.resilient_parsing and not os.path.isfile(campaign):
-        from ...schemas.campaign_file import file_and_place  # noqa: PLC0415
+        from ...schemas.file.reader import file_and_place  # noqa: PLC0415
 
         file_and_place(campaign)
     return campaign
@@ -38,7 +38,7 @@ def check_reference(context: click.Context, parameter: click.Parameter, system: 
     if context.resilient_parsing or system is None:
         return system
     if system.endswith(".toml"):
-        from ...schemas.campaign_file import load_description  # noqa: PLC0415
+        from ...schemas.file.reader import load_description  # noqa: PLC0415
 
         load_description(Path(system))
     elif ".py:" in system and not os.path.exists(path := os.path.abspath(system.rpartition(":")[0])):

@@ -7,9 +7,9 @@ import threading
 import time
 from types import FrameType
 
-from ...schemas.blas import one_blas_thread
 from ...schemas.errors import PerfboundError, Stopped
 from ...schemas.host import host_fault
+from ...schemas.platforms import one_blas_thread
 from .exits import end, process_end, take_signals
 from .group import cli
 from .pipes import readers_may_end

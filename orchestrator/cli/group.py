@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from ...schemas.secret import WEB_VARIABLE
+from ...schemas.link.secret import WEB_VARIABLE
 
 RUN_DIRECTORY = click.Path(path_type=Path, file_okay=False)
 

@@ -10,7 +10,7 @@ from ..run.page_access import PagePlace
 from .web_option import web_options
 
 if TYPE_CHECKING:
-    from ...schemas.link import Tls
+    from ...schemas.link.configuration import Tls
     from ..run.link import Link
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
@@ -92,7 +92,7 @@ def link_of(
         UsageError: options do not belong together.
 
     """
-    from ...schemas.link import LOCAL  # noqa: PLC0415
+    from ...schemas.link.configuration import LOCAL  # noqa: PLC0415
     from ..run.link import Link  # noqa: PLC0415
 
     if endpoint is not None and routers:
@@ -107,7 +107,7 @@ def tls_of(tls_ca: str | None, tls_certificate: str | None, tls_key: str | None)
         UsageError: one of them is missing.
 
     """
-    from ...schemas.link import Tls  # noqa: PLC0415
+    from ...schemas.link.configuration import Tls  # noqa: PLC0415
 
     if not (tls_ca or tls_certificate or tls_key):
         return None

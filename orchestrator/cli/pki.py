@@ -12,7 +12,7 @@ from ...schemas.errors import one_line
 from .group import cli
 
 if TYPE_CHECKING:
-    from ...schemas.certificates import Role
+    from ...schemas.link.tls_files import Role
     from ..fleet.authority import Order
     from ..run.pki import Issued
 
@@ -37,7 +37,7 @@ def pki() -> None:
 @click.option("--days", type=click.IntRange(1, 3650), default=365, show_default=True, help="Life of the authority.")
 def init_pki(*, folder: Path | None, days: int) -> None:
     """Make the authority: a private key, which stays in its folder, and a certificate."""
-    from ...schemas.certificates import time_text  # noqa: PLC0415
+    from ...schemas.link.tls_files import time_text  # noqa: PLC0415
     from ..run.pki import CA_KEY, init_folder, pki_folder  # noqa: PLC0415
 
     place = folder or pki_folder()
@@ -87,7 +87,7 @@ def issue_to(
 @folder_option
 def list_issued(*, folder: Path | None) -> None:
     """List the issued certificates, each with its end, and the options with which routers let them in."""
-    from ...schemas.certificates import time_text  # noqa: PLC0415
+    from ...schemas.link.tls_files import time_text  # noqa: PLC0415
     from ..run.pki import issued, pki_folder  # noqa: PLC0415
 
     found = issued(folder or pki_folder())
@@ -101,7 +101,7 @@ def list_issued(*, folder: Path | None) -> None:
 
 def _instructions(folder: Path, made: "Issued", known: "Sequence[Issued]") -> list[str]:
     """Return what to do with an issued certificate: where its files go, and the command there."""
-    from ...schemas.certificates import time_text  # noqa: PLC0415
+    from ...schemas.link.tls_files import time_text  # noqa: PLC0415
     from ..run.pki import CA  # noqa: PLC0415
 
     name, role, there = made.order.name, made.order.role, Path(folder.resolve().name)

@@ -22,7 +22,7 @@ def plan_command(*, campaign: Path, workers: int, as_json: bool) -> None:
     Ten rollouts are simulated on this machine; nothing of them is kept, and none enters a certificate. The method of
     each problem is then rehearsed on their values, which shows how many tests it may need.
     """
-    from ...schemas.campaign_file import load_campaign  # noqa: PLC0415
+    from ...schemas.file.reader import load_campaign  # noqa: PLC0415
 
     config = load_campaign(campaign)  # a fault of the file is reported before the numerics are loaded
     from ..run.campaign_plan import plan_campaign  # noqa: PLC0415

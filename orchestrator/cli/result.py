@@ -7,10 +7,10 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
-from ...schemas.certificate import Certificate
-from ...schemas.facts import Header
 from ...schemas.places import short_path
-from ...schemas.verdict import CampaignVerdict
+from ...schemas.result.certificate import Certificate
+from ...schemas.result.facts import Header
+from ...schemas.result.verdict import CampaignVerdict
 from ..certificate import text
 from ..certificate.console_lines import hanging, heading, plain_line
 from ..certificate.named_starts import parameter_units

@@ -57,10 +57,10 @@ def router(
     It stores nothing: it may be stopped and started again while campaigns run. With any --allow... it lets in what is
     named, and nothing else; a worker then speaks and reads in its own name alone.
     """
-    from ...schemas.access import router_rules  # noqa: PLC0415
     from ...schemas.errors import LinkError  # noqa: PLC0415
-    from ...schemas.link import asks_for_secret, check_own  # noqa: PLC0415
-    from ...schemas.secret import shared_secret  # noqa: PLC0415
+    from ...schemas.link.access import router_rules  # noqa: PLC0415
+    from ...schemas.link.configuration import asks_for_secret, check_own  # noqa: PLC0415
+    from ...schemas.link.secret import shared_secret  # noqa: PLC0415
     from ...schemas.stop_signals import stop_signals  # noqa: PLC0415
     from ..fleet.router import route  # noqa: PLC0415
     from ..run.certificate_end import end_announced  # noqa: PLC0415

@@ -44,8 +44,8 @@ def slurm(
 
     Folders must be on a file system that all nodes share. The command again continues the campaign.
     """
-    from ...schemas.campaign_file import load_campaign  # noqa: PLC0415
-    from ...schemas.secret import given_secret, secret_file, user_secret  # noqa: PLC0415
+    from ...schemas.file.reader import load_campaign  # noqa: PLC0415
+    from ...schemas.link.secret import given_secret, secret_file, user_secret  # noqa: PLC0415
     from ..fleet.child import system_options  # noqa: PLC0415
     from ..run.slurm_files import ORCHESTRATOR, SlurmOptions, job_files, missing_files  # noqa: PLC0415
 
@@ -88,7 +88,7 @@ def slurm(
 
 
 def _check_router(endpoint: str, tls: Path | None) -> None:
-    from ...schemas.link import ENCRYPTED, split  # noqa: PLC0415
+    from ...schemas.link.configuration import ENCRYPTED, split  # noqa: PLC0415
 
     protocol, _ = split(endpoint)
     if protocol in ENCRYPTED and tls is None:

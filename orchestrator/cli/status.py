@@ -9,9 +9,9 @@ from rich.console import Console
 from rich.text import Text
 
 from ...schemas.errors import one_line
-from ...schemas.problem_models import KrigingProblem
-from ...schemas.requirements import alpha_of
-from ...schemas.so_far import SoFar
+from ...schemas.file.parts import alpha_of
+from ...schemas.file.problem_models import KrigingProblem
+from ...schemas.result.so_far import SoFar
 from ..campaign.forecast import budget
 from ..campaign.outlook import left_in_words, outlook_lines, remaining_tests
 from ..certificate import files

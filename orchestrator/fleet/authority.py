@@ -17,9 +17,9 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from ...schemas.access import LOCAL
-from ...schemas.certificates import UNIT, Role, time_text
 from ...schemas.errors import AuthorityError
+from ...schemas.link.access import LOCAL
+from ...schemas.link.tls_files import UNIT, Role, time_text
 
 EARLY = timedelta(hours=1)
 """By which a certificate begins before it is issued: clocks of other hosts may be behind."""

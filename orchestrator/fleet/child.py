@@ -11,10 +11,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO
 
-from ...schemas.campaign import CampaignConfig
-from ...schemas.campaign_file import load_description
-from ...schemas.errors import CampaignError, PerfboundError, one_line
-from ...schemas.meant import meant
+from ...schemas.errors import CampaignError, PerfboundError, meant, one_line
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.reader import load_description
 from ...schemas.system import SystemSpec
 from .family import GRACE, STACK_WRITER, end_family, held_signals, place_of_stack, without_stack
 

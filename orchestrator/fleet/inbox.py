@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
 from ...schemas.errors import MessageError
-from ...schemas.messages import MAX_RESULT
+from ...schemas.link.messages import MAX_RESULT
 
 RESULTS_OF_WORKER = MAX_RESULT
 """Bytes of the results of one worker that are in memory."""

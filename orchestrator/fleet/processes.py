@@ -9,8 +9,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Protocol
 
-from ...schemas import keys
 from ...schemas.errors import PerfboundError
+from ...schemas.link import key_expressions
 from ...schemas.stop_signals import END_FAMILY
 
 GRACE = 1.0
@@ -163,7 +163,7 @@ class Fleet:
 
     def _spawn(self) -> None:
         self._next += 1
-        worker = keys.fresh_id(f"local-{self._next}")
+        worker = key_expressions.fresh_id(f"local-{self._next}")
         self._children.append(_Child(worker, self._started(worker), time.monotonic()))
 
     def _started(self, worker: str) -> ChildProcess:

@@ -8,9 +8,9 @@ from typing import Any
 
 import zenoh
 
-from ...schemas import keys, seal
-from ...schemas.link import Tls
-from ...schemas.sealed import fresh_name
+from ...schemas.link import key_expressions, seal
+from ...schemas.link.configuration import Tls
+from ...schemas.link.ends import fresh_name
 from . import sessions
 from .sender import within_patience
 
@@ -27,11 +27,13 @@ class Router:
 
     def __init__(self, session: zenoh.Session, endpoints: Sequence[str], name: str) -> None:
         self.endpoints = tuple(endpoints)
-        self._session, self._own = session, keys.live_router(name)
+        self._session, self._own = session, key_expressions.live_router(name)
         self._alive: dict[str, str] = {}
         """What each token is of."""
         liveliness = session.liveliness()
-        everything = liveliness.declare_subscriber(f"{keys.ROOT}/**", zenoh.handlers.FifoChannel(CHANNEL), history=True)
+        everything = liveliness.declare_subscriber(
+            f"{key_expressions.ROOT}/**", zenoh.handlers.FifoChannel(CHANNEL), history=True
+        )
         self._thread = threading.Thread(target=self._watch, args=(everything,), daemon=True)
         self._thread.start()
         self._token = liveliness.declare_token(self._own)
@@ -57,7 +59,7 @@ class Router:
                 key = str(sample.key_expr)
                 if sample.kind != zenoh.SampleKind.PUT:
                     self._alive.pop(key, None)
-                elif key != self._own and len(self._alive) < MOST and (kind := keys.kind_of(key)) in NAMES:
+                elif key != self._own and len(self._alive) < MOST and (kind := key_expressions.kind_of(key)) in NAMES:
                     self._alive[key] = kind
         except zenoh.ZError:
             return  # the session is closed
@@ -75,7 +77,7 @@ def route(
 ) -> Iterator[Router]:
     """Open a router that listens at `endpoints`, and links itself with other `routers`.
 
-    With `secret`, those that know it are let in; with `access`, the rules of `schemas.access.router_rules` apply.
+    With `secret`, those that know it are let in; with `access`, the rules of `schemas.link.access.router_rules` apply.
 
     Raises:
         PerfboundError: an endpoint is in use, malformed, or open to others without TLS.

@@ -4,7 +4,7 @@ import queue
 import threading
 from collections.abc import Callable
 
-from ...schemas.messages import Request
+from ...schemas.link.messages import Request
 
 WAITING = 10_000
 """Messages that wait for the link; above that, new ones are dropped, which the protocol repeats."""

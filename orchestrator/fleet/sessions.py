@@ -11,10 +11,9 @@ from typing import Any
 import zenoh
 
 from ...schemas.errors import LinkError, PerfboundError
-from ...schemas.link import Tls, connect_configs, listen_config, password_line, router_config, with_port
-from ...schemas.opening import UNLINKED, first_opened
-from ...schemas.reminder import StateLines
-from ...schemas.unanswered import no_link
+from ...schemas.link.configuration import Tls, connect_configs, listen_config, password_line, router_config, with_port
+from ...schemas.link.reminder import StateLines
+from ...schemas.link.unanswered import UNLINKED, first_opened, no_link
 
 TRIES = 5
 """Free ports that are tried where the endpoint names none."""

@@ -6,15 +6,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ...schemas.campaign import CampaignConfig
-from ...schemas.errors import PerfboundError, Stopped
+from ...schemas.errors import PerfboundError, Stopped, meant
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.parameters import signal_shapes
 from ...schemas.ids import RolloutId
-from ...schemas.meant import meant
 from ...schemas.number_text import number_in
-from ...schemas.parameters import signal_shapes
 from ...schemas.rollout import RequestTemplate, RolloutRequest
 from ...schemas.system import OptionValue, SystemSpec, Variant
-from ...schemas.trajectory import Trajectory
+from ...schemas.trajectory.trajectory import Trajectory
 from .child import HangError, ask, installed_systems, named_campaign, system_options, system_spec
 
 LIMIT: float = CampaignConfig.model_fields["deadline"].default

@@ -11,12 +11,12 @@ from typing import Any, Protocol
 
 import zenoh
 
-from ...schemas import keys, seal
 from ...schemas.errors import MessageError, SealError, shortened
 from ...schemas.ids import Attempt, RolloutId
-from ...schemas.link import Tls, reachable
-from ...schemas.messages import MAX_RESULT, Request, ResultHeader, WorkerState
-from ...schemas.sealed import OrchestratorEnd
+from ...schemas.link import key_expressions, seal
+from ...schemas.link.configuration import Tls, reachable
+from ...schemas.link.ends import OrchestratorEnd
+from ...schemas.link.messages import MAX_RESULT, Request, ResultHeader, WorkerState
 from . import sessions
 from .inbox import Budget
 from .sender import Sender, within_patience
@@ -153,16 +153,16 @@ class ZenohTransport:
         self.end = OrchestratorEnd(self._secret, run, by_certificate=self._by_certificate)
         handler = zenoh.handlers.FifoChannel
         session, liveliness = self._session, self._session.liveliness()
-        states = session.declare_subscriber(keys.state_key(run, "*"), handler(CHANNEL))
-        results = session.declare_subscriber(keys.result_key(run, "*", "*", "*"), handler(CHANNEL))
+        states = session.declare_subscriber(key_expressions.state_key(run, "*"), handler(CHANNEL))
+        results = session.declare_subscriber(key_expressions.result_key(run, "*", "*", "*"), handler(CHANNEL))
         # With history: workers that wait for this orchestrator declared their tokens before it came.
-        tokens = liveliness.declare_subscriber(keys.live_worker(run, "*"), handler(CHANNEL), history=True)
+        tokens = liveliness.declare_subscriber(key_expressions.live_worker(run, "*"), handler(CHANNEL), history=True)
         for subscriber, read in ((states, _heartbeat), (results, partial(_result, self._budget)), (tokens, _token)):
             self._pump(subscriber, read, sink)
         if self._grace is not None:
             self._watch_routers(sink, self._grace)
         # Last: a worker that has found the token may send at once.
-        self._token = liveliness.declare_token(keys.live_orchestrator(run, self.end.name))
+        self._token = liveliness.declare_token(key_expressions.live_orchestrator(run, self.end.name))
 
     def _pump(self, subscriber: Any, read: "Read", sink: Sink) -> None:
         self._start_thread(partial(_pump, subscriber, read, self.end, sink))
@@ -174,7 +174,7 @@ class ZenohTransport:
 
     def _watch_routers(self, sink: Sink, grace: float) -> None:
         tokens = self._session.liveliness().declare_subscriber(
-            keys.live_router("*"), zenoh.handlers.FifoChannel(CHANNEL), history=True
+            key_expressions.live_router("*"), zenoh.handlers.FifoChannel(CHANNEL), history=True
         )
         self._pump(tokens, partial(_router, self._secret, grace), sink)
         self._start_thread(partial(_watch_link, self._session, self._closing, grace, sink))
@@ -271,7 +271,7 @@ def _pump(subscriber: Any, read: Read, end: OrchestratorEnd, sink: Sink) -> None
             try:
                 message = read(end, sample, at)
             except (MessageError, UnicodeDecodeError) as error:
-                message = garbage(end, at, keys.sender_of(str(sample.key_expr)), error)
+                message = garbage(end, at, key_expressions.sender_of(str(sample.key_expr)), error)
             if message is not None:
                 sink(message)
             del sample, message  # megabytes, which would stay until the next one is read
@@ -287,13 +287,13 @@ def garbage(end: OrchestratorEnd, at: float, worker: str, error: Exception) -> G
 
 def _token(_end: OrchestratorEnd, sample: zenoh.Sample, at: float) -> Inbound:
     # A token has no seal, and alone admits nobody: a worker is up from its first sealed heartbeat on.
-    return Token(at, keys.worker_of(str(sample.key_expr)), alive=sample.kind == zenoh.SampleKind.PUT)
+    return Token(at, key_expressions.worker_of(str(sample.key_expr)), alive=sample.kind == zenoh.SampleKind.PUT)
 
 
 def _router(
     secret: bytes | None, grace: float, _end: OrchestratorEnd, sample: zenoh.Sample, at: float
 ) -> Inbound | None:
-    name = keys.last(str(sample.key_expr))
+    name = key_expressions.last(str(sample.key_expr))
     if not seal.is_router(secret or b"", name):
         return None  # of a peer that does not know the secret: it shall not make the orchestrator wait
     return RouterToken(at, grace, name, alive=sample.kind == zenoh.SampleKind.PUT)
@@ -312,14 +312,14 @@ def _watch_link(session: zenoh.Session, closing: threading.Event, grace: float, 
 def _heartbeat(end: OrchestratorEnd, sample: zenoh.Sample, at: float) -> Inbound | None:
     if sample.kind != zenoh.SampleKind.PUT:
         return None
-    worker = keys.worker_of(str(sample.key_expr))
+    worker = key_expressions.worker_of(str(sample.key_expr))
     return Heartbeat(at, worker, end.state(worker, sample.payload.to_bytes(), _attached(sample)))
 
 
 def _result(budget: Budget, end: OrchestratorEnd, sample: zenoh.Sample, at: float) -> Inbound | None:
     if sample.kind != zenoh.SampleKind.PUT:
         return None
-    worker = keys.worker_of(str(sample.key_expr))
+    worker = key_expressions.worker_of(str(sample.key_expr))
     # The seal first: bytes of a stranger take no room.
     header = end.header(worker, _attached(sample))
     if len(sample.payload) > MAX_RESULT:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...schemas.problem_models import (
+from ...schemas.file.problem_models import (
     KrigingProblem,
     Linearised,
     PaperProblem,

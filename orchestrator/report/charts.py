@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...schemas.campaign import CampaignConfig
+from ...schemas.file.config import CampaignConfig
 from ...schemas.values import Bound
 from ..campaign.methods import ProblemMethod
 from ..campaign.plan import ProblemPlan

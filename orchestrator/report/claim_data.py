@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from ...schemas.certificate import Assumption, Status
-from ...schemas.problems import Quantity
-from ...schemas.verdict import ByRollouts, VerdictWord
+from ...schemas.file.objectives import Quantity
+from ...schemas.result.certificate import Assumption, Status
+from ...schemas.result.verdict import ByRollouts, VerdictWord
 from ..certificate.assumption_titles import title
 from ..certificate.named_starts import with_named_start
 

@@ -8,12 +8,12 @@ from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 
-from ...schemas.certificate import Certificate
 from ...schemas.errors import JournalError, PerfboundError
-from ...schemas.facts import ExtensionFact, Header, ProposalFact
+from ...schemas.file.parts import parts_of
 from ...schemas.ids import CLOSING, closing_check
-from ...schemas.requirements import parts_of
-from ...schemas.so_far import SoFar
+from ...schemas.result.certificate import Certificate
+from ...schemas.result.facts import ExtensionFact, Header, ProposalFact
+from ...schemas.result.so_far import SoFar
 from ..campaign.observation import of_requirement
 from ..campaign.plan import plans
 from ..certificate import files

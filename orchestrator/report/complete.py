@@ -4,8 +4,8 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from ...schemas.certificate import Predicate, ProblemResult
-from ...schemas.facts import Header, RolloutFact
+from ...schemas.result.certificate import Predicate, ProblemResult
+from ...schemas.result.facts import Header, RolloutFact
 from ..store.export_tables import robustness_unit
 from ..store.rollout_values import RolloutValueReader
 from .chart_data import Prediction, ProblemCharts

@@ -2,10 +2,10 @@
 
 from collections.abc import Iterator
 
-from ...schemas.certificate import CertificateClaim, MostStarts, Predicate, Sensitivity
 from ...schemas.errors import one_line
-from ...schemas.problems import Quantity
-from ...schemas.verdict import ByRollouts, CampaignVerdict
+from ...schemas.file.objectives import Quantity
+from ...schemas.result.certificate import CertificateClaim, MostStarts, Predicate, Sensitivity
+from ...schemas.result.verdict import ByRollouts, CampaignVerdict
 from ..campaign.clip import is_vacuous
 from ..certificate.bound_text import outward
 from ..certificate.text import is_irreproducible, margin_at_most_starts

@@ -2,8 +2,8 @@
 
 from collections.abc import Callable, Iterable, Sequence
 
-from ...schemas.certificate import Counterexample
-from ...schemas.facts import Header, RolloutFact
+from ...schemas.result.certificate import Counterexample
+from ...schemas.result.facts import Header, RolloutFact
 from . import wording
 from .problem import ProblemCollector
 from .rollout_data import FoundCounterexample

@@ -5,10 +5,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ...schemas.facts import Header
-from ...schemas.input_signal import InputSignal, start_values
-from ...schemas.problem_models import Problem
-from ...schemas.trajectory import Trajectory
+from ...schemas.file.problem_models import Problem
+from ...schemas.result.facts import Header
+from ...schemas.trajectory.input_signal import InputSignal, start_values
+from ...schemas.trajectory.trajectory import Trajectory
 from ..mathematics.stl.parser import FormulaError, parse_formula
 from ..mathematics.stl.tree import (
     Absolute,

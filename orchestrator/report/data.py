@@ -13,8 +13,8 @@ from typing import Any, Literal
 
 from pydantic import BaseModel
 
-from ...schemas.certificate import CompositionTerms
-from ...schemas.problems import Quantity
+from ...schemas.file.objectives import Quantity
+from ...schemas.result.certificate import CompositionTerms
 from ..run.router_link import RouterLink
 from ..store.changes import ComparedResult
 from .chart_data import ProblemCharts

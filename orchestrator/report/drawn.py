@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from ...schemas.claims import PROBABILITIES, SAMPLED, ClaimRequest
+from ...schemas.file.drawn_claims import PROBABILITIES, SAMPLED, ClaimRequest
 from ..campaign.plan import ProblemPlan
 from ..mathematics.bounds.sample import SampleMethod
 from .bars import bar_counts, edges_over

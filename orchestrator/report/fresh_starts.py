@@ -4,9 +4,9 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
-from ...schemas.certificate import Predicate, SpotCheckedProblem
-from ...schemas.facts import ObservationFact, ProposalFact, RolloutFact
 from ...schemas.ids import SPOT_CHECK, closing_check
+from ...schemas.result.certificate import Predicate, SpotCheckedProblem
+from ...schemas.result.facts import ObservationFact, ProposalFact, RolloutFact
 from ..campaign.plan import ProblemPlan
 from . import limits
 from .chart_data import FailingStart

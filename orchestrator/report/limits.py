@@ -5,8 +5,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ...schemas.campaign import CampaignConfig
-from ...schemas.composition import composes
+from ...schemas.file.composition import composes
+from ...schemas.file.config import CampaignConfig
 from ..campaign.plan import ProblemPlan, value_range
 from ..certificate.bases import bases
 from .observed import signed

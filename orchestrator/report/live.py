@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-from ...schemas.facts import Header
-from ...schemas.so_far import SoFar
-from ...schemas.verdict import VerdictWord
+from ...schemas.result.facts import Header
+from ...schemas.result.so_far import SoFar
+from ...schemas.result.verdict import VerdictWord
 from ..certificate.named_starts import parameter_units
 from ..run.so_far_text import HEAD, bar_words, consequence_of_key, holding_rows, violations_so_far
 from .claim_data import AssumptionRow, assumption_row

@@ -5,9 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from ...schemas.errors import PerfboundError
-from ...schemas.facts import Header
 from ...schemas.ids import RolloutId
-from ...schemas.trajectory import Trajectory, decode
+from ...schemas.result.facts import Header
+from ...schemas.trajectory.trajectory import Trajectory, decode
 from ..certificate.verify.stages import Report
 from ..fleet.child import system_specs
 from ..fleet.simulate import simulate_to

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from ...schemas.facts import RolloutFact
+from ...schemas.result.facts import RolloutFact
 from ...schemas.system import ENDED, AfterEnd
-from ...schemas.trajectory import Trajectory
+from ...schemas.trajectory.trajectory import Trajectory
 from ..mathematics.stl.over_time import outermost, robustness_signal, worst_moment
 from ..mathematics.stl.text import text
 from ..mathematics.stl.tree import Always, Eventually, Formula

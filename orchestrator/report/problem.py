@@ -10,10 +10,10 @@ from functools import partial
 from itertools import islice
 from pathlib import Path
 
-from ...schemas.campaign import CampaignConfig
-from ...schemas.certificate import Predicate, ProblemResult
-from ...schemas.facts import BoundFact, ExtensionFact, Header, ObservationFact, ProposalFact
-from ...schemas.requirements import alpha_of
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.parts import alpha_of
+from ...schemas.result.certificate import Predicate, ProblemResult
+from ...schemas.result.facts import BoundFact, ExtensionFact, Header, ObservationFact, ProposalFact
 from ...schemas.values import MARKED, Bound, Guess, Observation, ProblemProgress, Proposal, StoppedBy, distance_after
 from ..campaign import consistency
 from ..campaign.clip import by_clip, floored

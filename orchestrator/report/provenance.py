@@ -3,8 +3,8 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from ...schemas.campaign_text import campaign_text
-from ...schemas.facts import Header
+from ...schemas.file.toml_text import campaign_text
+from ...schemas.result.facts import Header
 from ..store.changes import Session
 
 MOST_NAMED = 8

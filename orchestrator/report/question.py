@@ -1,8 +1,8 @@
 """The question of a campaign in one sentence: what its file requires of the first claim."""
 
-from ...schemas.claims import is_sampled
-from ...schemas.facts import Header
-from ...schemas.problems import Quantity, Reading
+from ...schemas.file.drawn_claims import is_sampled
+from ...schemas.file.objectives import Quantity, Reading
+from ...schemas.result.facts import Header
 from ..campaign.clip import hiding, reach_of
 from ..certificate.bound_text import clip_words
 from ..store.export_tables import robustness_unit

@@ -1,7 +1,7 @@
 """The ranges of the parameters that a campaign's starts are in."""
 
-from ...schemas.facts import Header
-from ...schemas.parameters import parameter_ranges
+from ...schemas.file.parameters import parameter_ranges
+from ...schemas.result.facts import Header
 
 
 def ranges(header: Header) -> dict[str, tuple[float, float]]:

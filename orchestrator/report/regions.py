@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ...schemas.certificate import Predicate
 from ...schemas.errors import EvidenceError
+from ...schemas.result.certificate import Predicate
 from ..campaign.plan import ProblemPlan
 from ..certificate import files as certificate_files
 from ..certificate.region_text import region_sentences

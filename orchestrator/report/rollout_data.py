@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from ...schemas.signals import SignalKind
+from ...schemas.file.signals import SignalKind
 
 Rank = Literal["worst", "first violation", "median", "best"]
 

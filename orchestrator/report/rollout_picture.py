@@ -6,7 +6,7 @@ from matplotlib.axes import Axes
 
 from ...schemas.rollout import RolloutRequest
 from ...schemas.system import SystemSpec
-from ...schemas.trajectory import Trajectory
+from ...schemas.trajectory.trajectory import Trajectory
 from . import style
 from .style import BLUE, THICK
 

@@ -5,9 +5,9 @@ from functools import partial
 from pathlib import Path, PurePosixPath
 
 from ...schemas.errors import EvidenceError, PerfboundError, TrajectoryError
-from ...schemas.facts import Header, RolloutFact
-from ...schemas.problem_models import Problem
-from ...schemas.trajectory import File, read_mcap
+from ...schemas.file.problem_models import Problem
+from ...schemas.result.facts import Header, RolloutFact
+from ...schemas.trajectory.trajectory import File, read_mcap
 from ..run.format import replay_command
 from ..store import files
 from ..store.export_tables import robustness_unit

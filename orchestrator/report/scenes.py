@@ -5,8 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from ...schemas.errors import PerfboundError
-from ...schemas.facts import Header
-from ...schemas.problem_models import Problem
+from ...schemas.file.problem_models import Problem
+from ...schemas.result.facts import Header
 from ..store.changes import rollouts_of
 from . import rollouts
 from .rollout_data import RolloutsOfTest

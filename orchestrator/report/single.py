@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ...schemas import atomic
 from ...schemas.errors import PerfboundError, UnusableTrajectoryError
-from ...schemas.trajectory import decode
+from ...schemas.trajectory.trajectory import decode
 from ..campaign.admission import check_whole
 from ..fleet.simulate import WantedRollout, column_lines, simulate_to
 

@@ -3,8 +3,8 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from ...schemas.facts import Header, RolloutFact
 from ...schemas.ids import RECHECK, closing_check
+from ...schemas.result.facts import Header, RolloutFact
 from ..store.robustness import RankedRollout, read_ranked, read_violating_starts
 from .ranges import ranges
 from .rollout_data import Rank, RankedTest, ViolatingStart, ViolatingStarts

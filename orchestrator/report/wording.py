@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import fields
 
-from ...schemas import certificate as document
-from ...schemas.claims import is_sampled
-from ...schemas.facts import Header
-from ...schemas.verdict import CampaignVerdict
+from ...schemas.file.drawn_claims import is_sampled
+from ...schemas.result import certificate as document
+from ...schemas.result.facts import Header
+from ...schemas.result.verdict import CampaignVerdict
 from ..campaign.clip import is_vacuous
 from ..certificate.bound_text import chance, outward
 from ..certificate.counterexample import counterexample_words
@@ -65,7 +65,7 @@ def verdict_card(found: CampaignVerdict, predicate: document.Predicate, *, repea
 def claim_sentence(claim: document.CertificateClaim) -> str:
     """Return a claim in words.
 
-    >>> from perfbound.schemas.certificate import CertificateClaim
+    >>> from perfbound.schemas.result.certificate import CertificateClaim
     >>> claim_sentence(CertificateClaim(quantity="J_star", sense="<=", bound=0.51234, probability=0.98765,
     ...                                 rule="single", method="paper", assumptions=(), refuted=()))
     'J* (maximum of the expectation) ≤ 0.5124 with probability at least 0.9876'

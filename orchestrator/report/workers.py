@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 
-from ...schemas.facts import NO_FAILURE, RECORDED
+from ...schemas.result.facts import NO_FAILURE, RECORDED
 from ..run.feed import LiveState
 from ..store.changes import AttemptOutcome, Changes
 from ..store.progress import RECENT, rate

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from ...schemas.atomic import write_new
 from ...schemas.ids import Attempt
-from ...schemas.messages import ResultHeader
-from ...schemas.seal import assignment_secret, is_proved
+from ...schemas.link.messages import ResultHeader
+from ...schemas.link.seal import assignment_secret, is_proved
 
 KEY = "assignments.key"
 """In the run directory while the campaign runs."""

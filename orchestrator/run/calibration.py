@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ...schemas.campaign import CampaignConfig
-from ...schemas.campaign_draft import Draft, load_draft
-from ...schemas.campaign_file import parse_campaign
 from ...schemas.errors import PerfboundError, Stopped
-from ...schemas.parameters import signal_shapes
-from ...schemas.problem_models import KrigingProblem
-from ...schemas.problems import OBJECTIVES, rolled_out
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.draft import Draft, load_draft
+from ...schemas.file.objectives import OBJECTIVES, rolled_out
+from ...schemas.file.parameters import signal_shapes
+from ...schemas.file.problem_models import KrigingProblem
+from ...schemas.file.reader import parse_campaign
 from ...schemas.system import SystemSpec
 from ..campaign import plan as plans
 from ..campaign.calibrated_file import kernel_file, sample_file, without_keys

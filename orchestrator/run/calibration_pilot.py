@@ -6,10 +6,10 @@ from typing import Protocol
 
 import numpy as np
 
-from ...schemas.campaign import CampaignConfig
-from ...schemas.campaign_draft import Draft
-from ...schemas.problem_models import KrigingProblem, Linearised, RigorousProblem
-from ...schemas.problems import OBJECTIVES, rolled_out
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.draft import Draft
+from ...schemas.file.objectives import OBJECTIVES, rolled_out
+from ...schemas.file.problem_models import KrigingProblem, Linearised, RigorousProblem
 from ...schemas.system import SystemSpec
 from ..campaign import plan as plans
 from ..campaign.calibration import Constant, ProblemCalibration, ProblemEvidence, calibrated, linearised_constants

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ...schemas.campaign import CampaignConfig
-from ...schemas.campaign_draft import CLIP
 from ...schemas.errors import TrajectoryError
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.draft import CLIP
 from ...schemas.ids import RolloutId
 from ...schemas.rollout import RequestTemplate, RolloutRequest
 from ...schemas.system import Variant
-from ...schemas.trajectory import Trajectory
+from ...schemas.trajectory.trajectory import Trajectory
 from ..campaign import plan as plans
 from ..campaign.admission import check_whole
 from ..campaign.calibration_design import NAME, calibration_seed

@@ -14,9 +14,9 @@ from typing import Literal
 from urllib.parse import quote
 
 from ...schemas.errors import PerfboundError, shortened
-from ...schemas.facts import Header
+from ...schemas.result.facts import Header
+from ...schemas.result.verdict import CampaignVerdict, VerdictWord
 from ...schemas.values import ProblemProgress
-from ...schemas.verdict import CampaignVerdict, VerdictWord
 from ..campaign.forecast import budget
 from ..certificate.bound_text import in_unit, outward
 from ..certificate.files import CERTIFICATE

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
-from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import PerfboundError, Stopped, TrajectoryError
-from ...schemas.facts import Header
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.problem_models import KernelProblem
 from ...schemas.ids import RECHECK, SPOT_CHECK, RolloutId
-from ...schemas.problem_models import KernelProblem
+from ...schemas.result.facts import Header
 from ...schemas.rollout import RolloutRequest
-from ...schemas.trajectory import Trajectory
+from ...schemas.trajectory.trajectory import Trajectory
 from ...schemas.values import Guess
 from ..campaign.admission import check_whole
 from ..campaign.calibration_design import calibration_seed

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from functools import partial
 
-from ...schemas.certificates import read_certificates, time_text
+from ...schemas.link.tls_files import read_certificates, time_text
 
 SOON = timedelta(days=2)
 """Before the end, a line says that it comes."""

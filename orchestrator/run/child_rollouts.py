@@ -10,7 +10,7 @@ from typing import Any
 from ...schemas.errors import PerfboundError, TrajectoryError
 from ...schemas.rollout import RolloutRequest
 from ...schemas.system import SystemSpec
-from ...schemas.trajectory import Trajectory, decode
+from ...schemas.trajectory.trajectory import Trajectory, decode
 from ..fleet.child import HangError, ask, system_options
 
 Done = Callable[[int], None]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from ...schemas.errors import EvidenceError
 from ...schemas.rollout import RolloutRequest
-from ...schemas.trajectory import Trajectory
+from ...schemas.trajectory.trajectory import Trajectory
 from ..campaign.admission import admit
 from ..fleet.transport import Result
 

@@ -5,10 +5,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ...schemas.campaign import CampaignConfig
-from ...schemas.campaign_file import differences
-from ...schemas.certificate import Certificate
 from ...schemas.errors import JournalError, PerfboundError
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.reader import differences
+from ...schemas.result.certificate import Certificate
 from ..certificate import files
 from ..store import read
 from ..store.lock import LOCK_FILE, RunLock, campaign_lock, forget_lock

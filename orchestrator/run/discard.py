@@ -4,10 +4,10 @@ from contextlib import closing
 from pathlib import Path
 
 from ...schemas.errors import PerfboundError, RequestError, one_line
-from ...schemas.facts import DiscardFact, RolloutFact
 from ...schemas.ids import RolloutId
 from ...schemas.ranges import MAX_FILE_BYTES
-from ...schemas.trajectory import Trajectory, decode
+from ...schemas.result.facts import DiscardFact, RolloutFact
+from ...schemas.trajectory.trajectory import Trajectory, decode
 from ..campaign.border import objective_fault
 from ..campaign.ledger import Ledger
 from ..certificate import files

@@ -3,12 +3,12 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from ...schemas.campaign import CampaignConfig
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.problem_models import KrigingProblem, PaperProblem, Problem, SampleProblem
 from ...schemas.ids import RECHECK, SPOT_CHECK, closing_check
-from ...schemas.problem_models import KrigingProblem, PaperProblem, Problem, SampleProblem
-from ...schemas.so_far import Expected, Span
+from ...schemas.result.so_far import Expected, Span
+from ...schemas.result.verdict import VerdictWord
 from ...schemas.values import Guess, ProblemProgress
-from ...schemas.verdict import VerdictWord
 from ..campaign.clip import by_clip, floored
 from ..campaign.forecast import budget
 from ..campaign.outlook import problem_outlook, remaining_tests

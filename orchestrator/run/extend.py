@@ -5,9 +5,9 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
-from ...schemas.certificate import Certificate
 from ...schemas.errors import CampaignError
-from ...schemas.facts import ExtensionFact
+from ...schemas.result.certificate import Certificate
+from ...schemas.result.facts import ExtensionFact
 from ..campaign.extension import extension, extension_words, is_extension_to
 from ..campaign.ledger import Ledger
 from ..certificate import files

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from ...schemas import atomic
-from ...schemas.campaign_file import parse_campaign
 from ...schemas.errors import PerfboundError
-from ...schemas.method_spaces import FIXED_STARTS, LATTICE_PARAMETERS
-from ...schemas.parameters import signal_shapes
-from ...schemas.problems import OBJECTIVES, ProblemName, rolled_out
-from ...schemas.space import SystemChoice
+from ...schemas.file.method_spaces import FIXED_STARTS, LATTICE_PARAMETERS
+from ...schemas.file.objectives import OBJECTIVES, ProblemName, rolled_out
+from ...schemas.file.parameters import signal_shapes
+from ...schemas.file.reader import parse_campaign
+from ...schemas.file.space import SystemChoice
 from ...schemas.system import SystemSpec, Variant
-from ...schemas.trajectory import Floats
+from ...schemas.trajectory.trajectory import Floats
 from ..campaign import pilot, plan
 from ..campaign.checks import check_new
 from ..campaign.first_file import FirstCampaign

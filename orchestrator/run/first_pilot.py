@@ -11,7 +11,7 @@ from ...schemas.errors import PerfboundError, Stopped, TrajectoryError
 from ...schemas.ids import RolloutId
 from ...schemas.rollout import RequestTemplate, RolloutRequest
 from ...schemas.system import OptionValue, SystemSpec, Variant
-from ...schemas.trajectory import Floats, Trajectory
+from ...schemas.trajectory.trajectory import Floats, Trajectory
 from ..campaign.admission import check_whole
 from ..campaign.pilot import NOISY_ROLLOUTS, Score, pilot_starts, settled_horizon
 from .child_rollouts import ChildRolloutError, ChildSystem, finished, simulate_in_child, undeclared_files

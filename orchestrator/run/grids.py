@@ -11,7 +11,7 @@ import hashlib
 import numpy as np
 
 from ...schemas.ids import RolloutId
-from ...schemas.trajectory import Trajectory
+from ...schemas.trajectory.trajectory import Trajectory
 
 MOST = 1000
 """Grids that are kept, the latest: a system with steps of its own for every start has as many as starts."""

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
 
-from ...schemas.access import access_rules
-from ...schemas.certificates import common_name
 from ...schemas.errors import LinkError
-from ...schemas.link import LOCAL, Tls, asks_for_secret, check_own, checked_endpoint
-from ...schemas.secret import shared_secret
+from ...schemas.link.access import access_rules
+from ...schemas.link.configuration import LOCAL, Tls, asks_for_secret, check_own, checked_endpoint
+from ...schemas.link.secret import shared_secret
+from ...schemas.link.tls_files import common_name
 from ..fleet.transport import ROUTER_GRACE, Transport, connect_to_router, listen
 from .certificate_end import end_announced
 from .page_access import PagePlace

@@ -9,7 +9,7 @@ from typing import Literal
 from rich.text import Text
 
 from ...schemas.errors import PerfboundError, one_line
-from ...schemas.verdict import CampaignVerdict, VerdictWord, Violations
+from ...schemas.result.verdict import CampaignVerdict, VerdictWord, Violations
 from ..certificate import files
 from ..certificate.bound_text import outward
 from ..store import lock

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 
 from ...schemas.ids import Attempt
-from ...schemas.messages import Ack, Assign, Cancel, HeartbeatInterval, Refuse, Release, Request, RunFinished
+from ...schemas.link.messages import Ack, Assign, Cancel, HeartbeatInterval, Refuse, Release, Request, RunFinished
 from ...schemas.rollout import RolloutRequest
 from ..fleet import events
 from ..fleet.transport import Transport

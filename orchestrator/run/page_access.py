@@ -9,10 +9,10 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from ...schemas.certificates import MOST, check_valid
 from ...schemas.errors import PerfboundError
+from ...schemas.link.secret import WEB_VARIABLE
+from ...schemas.link.tls_files import MOST, check_valid
 from ...schemas.outside import exposed, read_with_status
-from ...schemas.secret import WEB_VARIABLE
 from .address import Address, bind
 
 _FORM = re.compile("[A-Za-z0-9._~-]{16,200}")

@@ -23,10 +23,10 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
 from ...schemas.atomic import write_folder, write_new
-from ...schemas.certificates import check_time, hosts_of, name_of, read_certificates, role_of
 from ...schemas.errors import AuthorityError, LinkError, SecretError
+from ...schemas.link.secret import check_own_folder, secret_file
+from ...schemas.link.tls_files import check_time, hosts_of, name_of, read_certificates, role_of
 from ...schemas.outside import exposed, read_with_status
-from ...schemas.secret import check_own_folder, secret_file
 from ..certificate.key_folder import work_tree
 from ..fleet.authority import (
     Order,

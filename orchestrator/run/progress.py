@@ -10,11 +10,11 @@ from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.text import Text
 
-from ...schemas.campaign import CampaignConfig
-from ...schemas.certificate import Assumption
-from ...schemas.problem_models import Problem
-from ...schemas.requirements import alpha_of
-from ...schemas.so_far import SoFar
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.parts import alpha_of
+from ...schemas.file.problem_models import Problem
+from ...schemas.result.certificate import Assumption
+from ...schemas.result.so_far import SoFar
 from ...schemas.values import ProblemProgress
 from ..campaign.outlook import outlook_lines, remaining_tests
 from .format import ENDS, duration, figure

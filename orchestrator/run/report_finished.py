@@ -6,8 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ...schemas.errors import PerfboundError
-from ...schemas.link import LOCAL
-from ...schemas.messages import RunFinished
+from ...schemas.link.configuration import LOCAL
+from ...schemas.link.messages import RunFinished
 from ..fleet.transport import Heartbeat, Inbound, Transport
 from ..store.lock import is_held
 from ..store.read import stored_header

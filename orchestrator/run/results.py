@@ -3,11 +3,11 @@
 from collections.abc import Callable, Container, Iterable
 
 from ...schemas.errors import EvidenceError, UnusableTrajectoryError
-from ...schemas.facts import RECORDED, RESTORED
 from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, RolloutId
+from ...schemas.result.facts import RECORDED, RESTORED
 from ...schemas.rollout import RolloutRequest
-from ...schemas.trajectory import Trajectory
+from ...schemas.trajectory.trajectory import Trajectory
 from ..campaign.admission import admit
 from ..campaign.border import Admission, Compared
 from ..campaign.ledger import Ledger, Work

@@ -9,9 +9,8 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from ...schemas import __version__
-from ...schemas.heartbeats import HEARTBEAT, heartbeat_interval, is_near
 from ...schemas.ids import Attempt, RolloutId
-from ...schemas.messages import PROTOCOL, WorkerState
+from ...schemas.link.messages import HEARTBEAT, PROTOCOL, WorkerState, heartbeat_interval, is_near
 from ...schemas.platforms import ANY
 from ...schemas.system import SystemSpec
 from ..fleet import events

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from ...schemas.reminder import Reminder
+from ...schemas.link.reminder import Reminder
 from ..fleet import events
 from ..fleet.transport import Linked, RouterToken
 from .format import duration

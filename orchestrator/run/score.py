@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ...schemas.errors import PerfboundError
 from ...schemas.ids import RECHECK, RolloutId, closing_check
-from ...schemas.trajectory import decode
+from ...schemas.trajectory.trajectory import decode
 from ..campaign.objectives import scored as objective
 from ..mathematics.stl.parser import parse_formula
 from ..store import read

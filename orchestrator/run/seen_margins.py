@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass, field
 
-from ...schemas.campaign import CampaignConfig
-from ...schemas.campaign_draft import CLIP
-from ...schemas.problems import OBJECTIVES
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.draft import CLIP
+from ...schemas.file.objectives import OBJECTIVES
+from ...schemas.result.verdict import Violations
 from ...schemas.rollout import RolloutRequest
 from ...schemas.system import SystemSpec, Variant
-from ...schemas.trajectory import Trajectory
-from ...schemas.verdict import Violations
+from ...schemas.trajectory.trajectory import Trajectory
 from ..campaign.observation import Observer
 from ..certificate.counterexample import margin_words, named_start
 from ..store.export_tables import robustness_unit

@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import Stopped
+from ...schemas.file.config import CampaignConfig
 from ...schemas.ids import closing_check
 from ...schemas.values import ProblemProgress
 from ..campaign.ledger import Ledger, Work

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Protocol
 from rich.console import Console
 from rich.text import Text
 
-from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import CampaignError, JournalError, PerfboundError
-from ...schemas.facts import Header
+from ...schemas.file.config import CampaignConfig
+from ...schemas.link.secret import VARIABLE
 from ...schemas.platforms import ANY, platform_class
+from ...schemas.result.facts import Header
 from ...schemas.rollout import RolloutRequest
-from ...schemas.secret import VARIABLE
 from ...schemas.stop_signals import stop_signals
 from ...schemas.system import SystemSpec
 from ..campaign.checks import check_new

@@ -6,10 +6,10 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
-from ...schemas.certificate import Assumption
 from ...schemas.errors import one_line
-from ...schemas.so_far import Expected, SoFar
-from ...schemas.verdict import Violations
+from ...schemas.result.certificate import Assumption
+from ...schemas.result.so_far import Expected, SoFar
+from ...schemas.result.verdict import Violations
 from ..campaign.ledger import Ledger
 from ..campaign.recheck import Recheck
 from ..campaign.spot_check import spot_check_plan

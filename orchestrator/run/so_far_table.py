@@ -7,7 +7,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from ...schemas.so_far import SoFar
+from ...schemas.result.so_far import SoFar
 from .so_far_text import HEAD, assumption_words, bar_words, holding_rows, violations_so_far
 from .verdict import COLOURS
 

@@ -3,9 +3,9 @@
 import math
 from typing import NamedTuple
 
-from ...schemas.certificate import Assumption
 from ...schemas.errors import one_line
-from ...schemas.so_far import Expected, SoFar, Span
+from ...schemas.result.certificate import Assumption
+from ...schemas.result.so_far import Expected, SoFar, Span
 from ..certificate.bound_text import in_unit, outward
 from ..certificate.counterexample import margin_words
 from .format import duration

@@ -14,13 +14,13 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from ...schemas.campaign_check import check_against
 from ...schemas.errors import PerfboundError, Stopped, TrajectoryError
-from ...schemas.parameters import signal_shapes
+from ...schemas.file.against_system import check_against
+from ...schemas.file.parameters import signal_shapes
 from ...schemas.rollout import RolloutRequest
 from ...schemas.system import SystemSpec, Variant
 from ...schemas.system_check import ChildRun, Trial
-from ...schemas.trajectory import decode
+from ...schemas.trajectory.trajectory import decode
 from ..campaign.draws import check_where
 from ..campaign.system_check.findings import SystemFinding
 from ..campaign.system_check.judge import judge

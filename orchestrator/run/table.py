@@ -4,10 +4,10 @@ from collections.abc import Mapping, Sequence
 
 from rich.table import Table
 
-from ...schemas.campaign import CampaignConfig
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.parts import alpha_of
+from ...schemas.file.problem_models import Problem
 from ...schemas.ids import RECHECK, RISK_CHECK, SHRINK, SPOT_CHECK, closing_check
-from ...schemas.problem_models import Problem
-from ...schemas.requirements import alpha_of
 from ...schemas.values import ProblemProgress
 from ..campaign import forecast
 from ..campaign.clip import by_clip, floored

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ...schemas.errors import one_line
-from ...schemas.facts import HANDED_BACK
 from ...schemas.ids import RolloutId
+from ...schemas.result.facts import HANDED_BACK
 from ..fleet import events
 from ..fleet.opinions import without
 from ..fleet.retries import blames_rollout

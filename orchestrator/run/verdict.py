@@ -3,9 +3,9 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from ...schemas.certificate import Certificate
-from ...schemas.facts import Header
-from ...schemas.verdict import CampaignVerdict, VerdictWord, Violations
+from ...schemas.result.certificate import Certificate
+from ...schemas.result.facts import Header
+from ...schemas.result.verdict import CampaignVerdict, VerdictWord, Violations
 from ..certificate.advice import Commands
 from ..certificate.counterexample import margin_words
 from ..certificate.verdict import campaign_verdict

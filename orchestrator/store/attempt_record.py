@@ -7,7 +7,7 @@ from pathlib import Path
 
 import sqlalchemy as sa
 
-from ...schemas.attempt_record import TABLES, TableDigest
+from ...schemas.result.attempt_record import TABLES, TableDigest
 from . import tables
 from .read import reading
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from ...schemas.facts import RECORDED
 from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, RolloutId
+from ...schemas.result.facts import RECORDED
 from . import tables
 from .pending import PendingRows
 from .rows import attempt_key, outcome_fields

@@ -8,8 +8,8 @@ import sqlalchemy as sa
 from sqlalchemy import Connection
 
 from ...schemas.errors import JournalError
-from ...schemas.facts import BoundFact, ExtensionFact, Header, ObservationFact, ProposalFact, RolloutFact
 from ...schemas.ranges import within_seconds
+from ...schemas.result.facts import BoundFact, ExtensionFact, Header, ObservationFact, ProposalFact, RolloutFact
 from . import tables
 from .read import read_header, reading
 from .rows import DATABASE, READERS

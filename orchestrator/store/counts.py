@@ -10,7 +10,7 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from ...schemas.facts import NO_FAILURE, Header
+from ...schemas.result.facts import NO_FAILURE, Header
 from .progress import header_in
 from .readonly import snapshot
 

@@ -10,7 +10,7 @@ import sqlalchemy as sa
 from sqlalchemy import Connection
 
 from ...schemas import atomic
-from ...schemas.facts import DiscardFact, RolloutFact
+from ...schemas.result.facts import DiscardFact, RolloutFact
 from . import tables
 from .files import discarded_path, inside, read_evidence
 from .journal import open_engine

@@ -11,9 +11,8 @@ from typing import IO, TYPE_CHECKING, Any, Literal
 from sqlalchemy import Connection
 
 from ...schemas.atomic import make_folder, replacing
-from ...schemas.errors import PerfboundError
-from ...schemas.facts import Header
-from ...schemas.meant import meant
+from ...schemas.errors import PerfboundError, meant
+from ...schemas.result.facts import Header
 from . import export_tables
 from .export_tables import TABLES, ExportColumn, ExportTable, Row, Value
 from .files import FOLDER

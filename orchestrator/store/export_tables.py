@@ -24,13 +24,13 @@ from typing import Any, Literal
 import sqlalchemy as sa
 from sqlalchemy import Connection
 
-from ...schemas.campaign import CampaignConfig
-from ...schemas.claims import PROBABILITIES
-from ...schemas.facts import NO_FAILURE, RECORDED, Header
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.drawn_claims import PROBABILITIES
+from ...schemas.file.objectives import replicates_are_robustness
+from ...schemas.file.parts import parts_of
+from ...schemas.file.problem_models import Problem
 from ...schemas.ids import RECHECK, RISK_CHECK, SHRINK, SPOT_CHECK, closing_check
-from ...schemas.problem_models import Problem
-from ...schemas.problems import replicates_are_robustness
-from ...schemas.requirements import parts_of
+from ...schemas.result.facts import NO_FAILURE, RECORDED, Header
 from ...schemas.system import SystemSpec
 from . import tables
 

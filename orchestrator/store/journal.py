@@ -16,10 +16,10 @@ from sqlalchemy import Connection, Engine
 from ...schemas.atomic import move, temporary
 from ...schemas.base import canonical_json
 from ...schemas.errors import JournalError
-from ...schemas.facts import Fact, Header, ProposalFact, RolloutFact
 from ...schemas.host import host_name
 from ...schemas.ids import RolloutId
 from ...schemas.platforms import platform_class
+from ...schemas.result.facts import Fact, Header, ProposalFact, RolloutFact
 from . import tables
 from .attempts import AttemptLog
 from .commit_times import CommitTimes

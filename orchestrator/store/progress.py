@@ -15,7 +15,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 from ...schemas.errors import one_line
-from ...schemas.facts import HANDED_BACK, NO_FAILURE, RECORDED, Header
+from ...schemas.result.facts import HANDED_BACK, NO_FAILURE, RECORDED, Header
 from ...schemas.values import MARKED, Bound, ProblemProgress, distance_after
 from .readonly import snapshot
 from .rows import bound_fact, check_version, checked_header, extension_fact

@@ -11,9 +11,9 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy import Connection, Engine
 
-from ...schemas.facts import HANDED_BACK, RECORDED, BoundFact, Fact, Header, ObservationFact, ProposalFact
 from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, RolloutId, series_order
+from ...schemas.result.facts import HANDED_BACK, RECORDED, BoundFact, Fact, Header, ObservationFact, ProposalFact
 from ...schemas.values import Bound, Observation, Proposal, StoppedBy
 from . import tables
 from .damage import naming_cause

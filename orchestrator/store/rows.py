@@ -6,9 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from ...schemas.base import canonical_json
-from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import JournalError
-from ...schemas.facts import (
+from ...schemas.failure import Failure
+from ...schemas.file.config import CampaignConfig
+from ...schemas.ids import Attempt, RolloutId
+from ...schemas.result.facts import (
     NO_FAILURE,
     BoundFact,
     DiscardFact,
@@ -18,10 +20,8 @@ from ...schemas.facts import (
     ObservationFact,
     ProposalFact,
     RolloutFact,
+    check_rules,
 )
-from ...schemas.failure import Failure
-from ...schemas.ids import Attempt, RolloutId
-from ...schemas.rules import check_rules
 from ...schemas.system import SystemSpec
 from ...schemas.values import Bound, Observation, Proposal
 

@@ -23,7 +23,7 @@ campaign = Table(
     Column("config_sha256", Text, nullable=False),
     Column("system", Text, nullable=False),  # SystemSpec, canonical JSON
     Column("software", Text, nullable=False),  # versions, canonical JSON
-    Column("rules", Integer, nullable=False),  # schemas.rules
+    Column("rules", Integer, nullable=False),  # schemas.result.facts
     sqlite_strict=True,
 )
 

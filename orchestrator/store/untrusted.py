@@ -6,7 +6,7 @@ from pathlib import Path
 import sqlalchemy as sa
 
 from ...schemas.errors import JournalError
-from ...schemas.facts import (
+from ...schemas.result.facts import (
     BoundFact,
     DiscardFact,
     ExtensionFact,

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 from ..orchestrator.campaign.checks import check_new
 from ..schemas import atomic
-from ..schemas.campaign import CampaignConfig
-from ..schemas.campaign_file import load_campaign, parse_campaign
 from ..schemas.errors import CampaignError
+from ..schemas.file.config import CampaignConfig
+from ..schemas.file.reader import load_campaign, parse_campaign
 from .given import GivenSystem, given_system
 from .toml import toml
 

@@ -22,7 +22,7 @@ from typing import Any
 from ..orchestrator.fleet.processes import ChildProcess, Fleet
 from ..orchestrator.fleet.transport import Garbage, Heartbeat, Inbound, Result, Sink, Token, Transport
 from ..schemas.errors import MessageError
-from ..schemas.messages import (
+from ..schemas.link.messages import (
     MAX_MESSAGE,
     MAX_RESULT,
     Request,

@@ -19,15 +19,15 @@ from ..orchestrator.run.verdict import verdict_of
 from ..orchestrator.store import export, read
 from ..orchestrator.store.export_tables import robustness_unit
 from ..orchestrator.store.rows import DATABASE, existing
-from ..schemas.campaign import CampaignConfig
-from ..schemas.certificate import Predicate
 from ..schemas.errors import EvidenceError, PerfboundError
-from ..schemas.facts import Header
+from ..schemas.file.config import CampaignConfig
 from ..schemas.ids import closing_check
-from ..schemas.link import LOCAL
+from ..schemas.link.configuration import LOCAL
 from ..schemas.real_numbers import real_array
-from ..schemas.trajectory import Trajectory
-from ..schemas.verdict import CampaignVerdict
+from ..schemas.result.certificate import Predicate
+from ..schemas.result.facts import Header
+from ..schemas.result.verdict import CampaignVerdict
+from ..schemas.trajectory.trajectory import Trajectory
 from .forked import Forked
 from .given import GivenSystem, given_system
 from .process import interruptible, output, reproducible

@@ -27,16 +27,16 @@ from ..orchestrator.run.link import Link
 from ..orchestrator.store import read
 from ..orchestrator.store.journal import Journal
 from ..orchestrator.store.rows import DATABASE
-from ..schemas.campaign import CampaignConfig
 from ..schemas.errors import PerfboundError, RequestError, UnusableTrajectoryError, shortened
-from ..schemas.facts import RECORDED, RESTORED, Header
 from ..schemas.failure import Failure
+from ..schemas.file.config import CampaignConfig
 from ..schemas.host import host_name
 from ..schemas.ids import Attempt, RolloutId
-from ..schemas.input_signal import start_values
-from ..schemas.link import LOCAL
+from ..schemas.link.configuration import LOCAL
+from ..schemas.result.facts import RECORDED, RESTORED, Header
 from ..schemas.rollout import RolloutRequest
 from ..schemas.system import OptionValue, SystemSpec
+from ..schemas.trajectory.input_signal import start_values
 from .given import GivenSystem
 from .process import reproducible
 from .run import Run

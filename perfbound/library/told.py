@@ -18,7 +18,7 @@ from ..schemas.ranges import MAX_FILE_BYTES
 from ..schemas.real_numbers import real_number
 from ..schemas.rollout import RolloutRequest
 from ..schemas.system import SystemSpec
-from ..schemas.trajectory import Trajectory, Visual
+from ..schemas.trajectory.trajectory import Trajectory, Visual
 from ..workers.simulate import run_request_on
 from ..workers.systems.base import SystemUnderTest
 from ..workers.systems.function import Floats, as_samples

@@ -5,7 +5,7 @@ from pathlib import PurePath
 from typing import Any
 
 from ..schemas.errors import CampaignError
-from ..schemas.toml_text import toml_file
+from ..schemas.file.toml_text import toml_file
 
 
 def toml(table: Mapping[str, Any], source: str) -> str:

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from perfbound.schemas.blas import one_blas_thread
+from perfbound.schemas.platforms import one_blas_thread
 
 one_blas_thread()
 

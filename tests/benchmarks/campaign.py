@@ -5,8 +5,8 @@ import sys
 import time
 
 from perfbound.orchestrator.fleet.transport import Heartbeat, Inbound, listen
-from perfbound.schemas.keys import fresh_id
-from perfbound.schemas.secret import shared_secret
+from perfbound.schemas.link.key_expressions import fresh_id
+from perfbound.schemas.link.secret import shared_secret
 from tests.benchmarks.report import Row
 from tests.benchmarks.runs import Cost, conduct
 

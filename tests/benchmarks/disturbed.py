@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from perfbound.schemas.link import USER
-from perfbound.schemas.seal import link_password
-from perfbound.schemas.secret import VARIABLE
+from perfbound.schemas.link.configuration import USER
+from perfbound.schemas.link.seal import link_password
+from perfbound.schemas.link.secret import VARIABLE
 from tests.benchmarks.report import Row
 from tests.benchmarks.runs import RECORDED
 from tests.end_to_end.processes import query, wait_for

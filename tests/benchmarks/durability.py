@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
-from perfbound.schemas.campaign import CampaignConfig
+from perfbound.schemas.file.config import CampaignConfig
 from tests.benchmarks import readers
 from tests.benchmarks.report import Row
 from tests.campaigns import table

@@ -12,7 +12,7 @@ import numpy as np
 
 import perfbound as pb
 from perfbound.schemas.rollout import RolloutRequest
-from perfbound.schemas.trajectory import Floats
+from perfbound.schemas.trajectory.trajectory import Floats
 from perfbound.systems import OptionValue, Progress, Variant
 from perfbound.workers.simulate import run_request_on
 from perfbound.workers.systems.files import load_reference

@@ -26,7 +26,7 @@ ROOMS = (
     ("objectives", ("/orchestrator/campaign/observation.py", "/orchestrator/campaign/objectives.py")),
     ("evidence files, fsync", ("/orchestrator/store/files.py", "/schemas/atomic.py")),
     ("SQLite", ("/orchestrator/store/", "/sqlalchemy/")),
-    ("trajectories (MCAP)", ("/schemas/trajectory.py", "/mcap/")),
+    ("trajectories (MCAP)", ("/schemas/trajectory/trajectory.py", "/mcap/")),
     ("Zenoh, main thread", ("/orchestrator/fleet/transport.py", "/zenoh/")),
     ("pydantic, JSON", ("/pydantic/", "/json/", "/schemas/")),
     ("certificate", ("/orchestrator/certificate/",)),
@@ -90,7 +90,7 @@ def main() -> None:
 
 def _perfbound(marks: list[float]) -> None:
     """Run the command line; `marks` gets the CPU times at both ends of the loop."""
-    from perfbound.schemas.blas import one_blas_thread
+    from perfbound.schemas.platforms import one_blas_thread
 
     one_blas_thread()  # before numpy comes along
     from perfbound.orchestrator import cli

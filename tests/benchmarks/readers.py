@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from perfbound.orchestrator.store.changes import ChangeReader
-from perfbound.schemas.campaign import CampaignConfig
+from perfbound.schemas.file.config import CampaignConfig
 from tests.benchmarks.report import Row
 from tests.fakes.puppets import Stage, scratch
 

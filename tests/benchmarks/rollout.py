@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from perfbound.schemas.rollout import RolloutRequest
-from perfbound.schemas.trajectory import decode
+from perfbound.schemas.trajectory.trajectory import decode
 from perfbound.workers.simulate import run_request_on
 from perfbound.workers.systems import segway
 from perfbound.workers.systems.segway import SegwaySystem

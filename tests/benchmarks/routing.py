@@ -23,9 +23,9 @@ from perfbound.orchestrator.fleet.transport import (
     connect_to_router,
     listen,
 )
-from perfbound.schemas.keys import fresh_id
-from perfbound.schemas.link import LOCAL
-from perfbound.schemas.messages import Ack, Request, ResultHeader
+from perfbound.schemas.link.configuration import LOCAL
+from perfbound.schemas.link.key_expressions import fresh_id
+from perfbound.schemas.link.messages import Ack, Request, ResultHeader
 from perfbound.workers.transport import ZenohUplink, connect
 from tests.benchmarks.report import Row
 from tests.sharing import free_port

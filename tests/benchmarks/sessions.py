@@ -15,8 +15,8 @@ from pathlib import Path
 
 from perfbound.orchestrator.fleet.transport import Heartbeat, Inbound, Token, ZenohTransport, listen
 from perfbound.schemas import __version__
-from perfbound.schemas.keys import fresh_id
-from perfbound.schemas.messages import PROTOCOL, Request, WorkerState
+from perfbound.schemas.link.key_expressions import fresh_id
+from perfbound.schemas.link.messages import PROTOCOL, Request, WorkerState
 from perfbound.workers.transport import connect
 from tests.benchmarks.report import Row
 

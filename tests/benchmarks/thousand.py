@@ -22,11 +22,11 @@ from pathlib import Path
 import psutil
 import zenoh
 
-from perfbound.schemas import keys
 from perfbound.schemas.errors import MessageError
-from perfbound.schemas.link import connect_config
-from perfbound.schemas.messages import ResultHeader, WorkerState
-from perfbound.schemas.sealed import Packet, WorkerEnd
+from perfbound.schemas.link import key_expressions
+from perfbound.schemas.link.configuration import connect_config
+from perfbound.schemas.link.ends import Packet, WorkerEnd
+from perfbound.schemas.link.messages import ResultHeader, WorkerState
 from perfbound.workers.systems import add_file
 from perfbound.workers.transport import Receiver
 from perfbound.workers.worker import WorkerProcess
@@ -231,7 +231,7 @@ class SharedUplink:
         """Announce the worker; its requests come through the subscriber of all."""
         self.end.join(run, worker)
         self.receive = receive
-        self._token = self._session.liveliness().declare_token(keys.live_worker(run, worker))
+        self._token = self._session.liveliness().declare_token(key_expressions.live_worker(run, worker))
 
     def leave(self) -> None:
         """Stay: the process is killed."""
@@ -261,7 +261,7 @@ def _be_workers(endpoint: str, count: int, file: str) -> None:
             break
         except zenoh.ZError:
             time.sleep(0.3)
-    uplinks = {keys.fresh_id(f"light-{number}"): SharedUplink(session) for number in range(count)}
+    uplinks = {key_expressions.fresh_id(f"light-{number}"): SharedUplink(session) for number in range(count)}
 
     def see(sample: zenoh.Sample) -> None:
         for uplink in uplinks.values():
@@ -269,7 +269,7 @@ def _be_workers(endpoint: str, count: int, file: str) -> None:
             take(str(sample.key_expr))
 
     def hear(sample: zenoh.Sample) -> None:
-        if (uplink := uplinks.get(keys.last(str(sample.key_expr)))) is None:
+        if (uplink := uplinks.get(key_expressions.last(str(sample.key_expr)))) is None:
             return
         attachment = None if sample.attachment is None else sample.attachment.to_bytes()
         try:
@@ -277,11 +277,11 @@ def _be_workers(endpoint: str, count: int, file: str) -> None:
         except MessageError:
             return
 
-    seen = session.liveliness().declare_subscriber(keys.ANY_ORCHESTRATOR, see, history=True)
+    seen = session.liveliness().declare_subscriber(key_expressions.ANY_ORCHESTRATOR, see, history=True)
     while not next(iter(uplinks.values())).orchestrators():
         time.sleep(0.05)
     run = next(iter(uplinks.values())).orchestrators()[0][1]
-    heard = [session.declare_subscriber(keys.request_key(run, name), hear) for name in uplinks]
+    heard = [session.declare_subscriber(key_expressions.request_key(run, name), hear) for name in uplinks]
     for name, uplink in uplinks.items():
         worker = WorkerProcess(name, uplink)
         uplink.join(run, name, worker.receive)

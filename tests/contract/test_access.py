@@ -9,11 +9,11 @@ import trustme
 import zenoh
 
 from perfbound.orchestrator.fleet.transport import Heartbeat, Inbound, Result, Token, ZenohTransport, listen
-from perfbound.schemas import keys
-from perfbound.schemas.access import access_rules
-from perfbound.schemas.link import Tls, connect_config
-from perfbound.schemas.messages import Ack, Request, encode_message
-from perfbound.schemas.sealed import takes_by_certificate
+from perfbound.schemas.link import key_expressions
+from perfbound.schemas.link.access import access_rules
+from perfbound.schemas.link.configuration import Tls, connect_config
+from perfbound.schemas.link.ends import takes_by_certificate
+from perfbound.schemas.link.messages import Ack, Request, encode_message
 from perfbound.workers.transport import ZenohUplink, connect
 from tests.contract.test_transport import RUN, T, a_header, a_state, eventually, no_waiting
 from tests.patience import PATIENCE
@@ -106,12 +106,17 @@ def test_a_worker_reads_no_requests_of_another_one_and_sends_none(site: Site) ->
     ours, requests = site.joined("a", A)
     assert site.next(Token).worker == A
     spy, forger, read = site.raw("b"), site.raw("b"), []
-    for expression in (keys.request_key(RUN, A), keys.request_key(RUN, "*"), f"perfbound/{RUN}/**", "**"):
+    for expression in (
+        key_expressions.request_key(RUN, A),
+        key_expressions.request_key(RUN, "*"),
+        f"perfbound/{RUN}/**",
+        "**",
+    ):
         spy.declare_subscriber(expression, lambda sample: read.append(str(sample.key_expr)))
-    token = forger.liveliness().declare_token(keys.live_orchestrator("f" * 16, "0-stranger"))
+    token = forger.liveliness().declare_token(key_expressions.live_orchestrator("f" * 16, "0-stranger"))
     order = Ack(rollout="maximum.0.true.0", attempt=1)
     packet = site.transport.end.request(A, order)
-    for key in (packet.key, keys.request_key(RUN, "*"), keys.request_key("*", "*")):
+    for key in (packet.key, key_expressions.request_key(RUN, "*"), key_expressions.request_key("*", "*")):
         forger.put(key, packet.payload, attachment=packet.attachment)
     ours.report(a_state(A))
     assert site.next(Heartbeat).worker == A
@@ -126,11 +131,15 @@ def test_a_worker_reads_no_requests_of_another_one_and_sends_none(site: Site) ->
 
 def test_a_certificate_that_is_not_listed_sees_and_says_nothing(site: Site) -> None:
     stranger = site.uplink("c")
-    stranger._end.appear(keys.live_orchestrator(RUN, site.transport.end.name))
+    stranger._end.appear(key_expressions.live_orchestrator(RUN, site.transport.end.name))
     stranger.join(RUN, "c-0123abcd", lambda _: None)
     stranger.report(a_state("c-0123abcd"))
     session = site.raw("c")
-    for key in (keys.state_key(RUN, "c-0123abcd"), keys.state_key(RUN, A), keys.state_key(RUN, "*")):
+    for key in (
+        key_expressions.state_key(RUN, "c-0123abcd"),
+        key_expressions.state_key(RUN, A),
+        key_expressions.state_key(RUN, "*"),
+    ):
         session.put(key, encode_message(a_state(A)))
     ours, _ = site.joined("a", A)
     assert site.next(Token).worker == A

@@ -5,7 +5,7 @@ import zenoh
 
 from perfbound.orchestrator.fleet.transport import listen
 from perfbound.schemas.errors import LinkError
-from perfbound.schemas.link import LOCAL, connect_config, reachable, with_port
+from perfbound.schemas.link.configuration import LOCAL, connect_config, reachable, with_port
 
 pytestmark = pytest.mark.smoke
 

@@ -9,9 +9,9 @@ import pytest
 import zenoh
 
 from perfbound.orchestrator.fleet.authority import certificate_bytes
-from perfbound.schemas import link
-from perfbound.schemas.link import Tls
-from perfbound.schemas.unanswered import no_link
+from perfbound.schemas.link import configuration
+from perfbound.schemas.link.configuration import Tls
+from perfbound.schemas.link.unanswered import no_link
 from tests.fakes.certificates import DAY, Site
 from tests.sharing import free_port
 
@@ -21,13 +21,13 @@ Listening = Callable[[Tls | None], AbstractContextManager[str]]
 @pytest.fixture
 def listening(monkeypatch: pytest.MonkeyPatch) -> Listening:
     """Open a node without the checks of its own files, as one on a host with another clock."""
-    monkeypatch.setattr(link, "check_link_files", lambda *_, **__: None)
-    monkeypatch.setattr(link, "check_host", lambda *_: None)
+    monkeypatch.setattr(configuration, "check_link_files", lambda *_, **__: None)
+    monkeypatch.setattr(configuration, "check_host", lambda *_: None)
 
     @contextmanager
     def opened(tls: Tls | None) -> Iterator[str]:
         endpoint = f"{'tls' if tls else 'tcp'}/127.0.0.1:{free_port()}"
-        session = zenoh.open(zenoh.Config.from_json5(link.listen_config(endpoint, tls, insecure=False)))
+        session = zenoh.open(zenoh.Config.from_json5(configuration.listen_config(endpoint, tls, insecure=False)))
         try:
             yield endpoint
         finally:

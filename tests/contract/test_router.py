@@ -19,11 +19,11 @@ from perfbound.orchestrator.fleet.transport import (
     ZenohTransport,
     connect_to_router,
 )
-from perfbound.schemas import keys
-from perfbound.schemas.access import router_rules
 from perfbound.schemas.errors import LinkError, PerfboundError
-from perfbound.schemas.link import LOCAL, Tls, connect_config
-from perfbound.schemas.messages import Ack, Request
+from perfbound.schemas.link import key_expressions
+from perfbound.schemas.link.access import router_rules
+from perfbound.schemas.link.configuration import LOCAL, Tls, connect_config
+from perfbound.schemas.link.messages import Ack, Request
 from perfbound.workers.transport import ZenohUplink, connect
 from tests.contract.test_access import certificate  # noqa: F401
 from tests.contract.test_transport import RUN, SECRET, T, a_state, eventually, no_lines, no_waiting
@@ -240,14 +240,23 @@ def test_with_the_certificate_of_a_worker_no_kind_of_node_has_more_rights(guarde
     with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as hostile:
         tokens = [
             hostile.liveliness().declare_token(key)
-            for key in (keys.live_router("0-x"), keys.live_orchestrator("f" * 16, "0-x"), keys.live_worker(RUN, "a-9"))
+            for key in (
+                key_expressions.live_router("0-x"),
+                key_expressions.live_orchestrator("f" * 16, "0-x"),
+                key_expressions.live_worker(RUN, "a-9"),
+            )
         ]
-        wide = (keys.request_key(RUN, "*"), f"{keys.ROOT}/**", "**")
+        wide = (key_expressions.request_key(RUN, "*"), f"{key_expressions.ROOT}/**", "**")
         subscribers = [
             hostile.declare_subscriber(key, lambda sample: read.append(str(sample.payload.to_string())))
-            for key in (keys.state_key(RUN, "*"), *wide)
+            for key in (key_expressions.state_key(RUN, "*"), *wide)
         ]
-        for key in (keys.state_key(RUN, WORKER), keys.state_key(RUN, "*"), keys.request_key(RUN, WORKER), *wide):
+        for key in (
+            key_expressions.state_key(RUN, WORKER),
+            key_expressions.state_key(RUN, "*"),
+            key_expressions.request_key(RUN, WORKER),
+            *wide,
+        ):
             hostile.put(key, "of a stranger")
         ours.report(a_state(WORKER))
         assert guarded.next(Heartbeat).state == a_state(WORKER)

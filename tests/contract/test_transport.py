@@ -24,10 +24,11 @@ from perfbound.orchestrator.fleet.transport import (
     connect_to_router,
     listen,
 )
-from perfbound.schemas import keys
 from perfbound.schemas.failure import FailureKind
-from perfbound.schemas.link import LOCAL, connect_config
-from perfbound.schemas.messages import (
+from perfbound.schemas.link import key_expressions
+from perfbound.schemas.link.configuration import LOCAL, connect_config
+from perfbound.schemas.link.ends import SHOWN, OrchestratorEnd
+from perfbound.schemas.link.messages import (
     MAX_MESSAGE,
     PROTOCOL,
     Ack,
@@ -37,7 +38,6 @@ from perfbound.schemas.messages import (
     WorkerState,
     encode_message,
 )
-from perfbound.schemas.sealed import SHOWN, OrchestratorEnd
 from perfbound.workers.transport import Uplink, ZenohUplink, connect
 from tests.fakes import inmemory
 from tests.fakes.inmemory import InMemoryTransport, InMemoryUplink, Network
@@ -223,7 +223,7 @@ def test_another_run_is_not_heard(rig: Rig) -> None:
     heard = listening(rig)
     with joined(rig, "w") as uplink:
         assert heard.next(Token, worker="w").alive
-        rig.put(keys.state_key("f" * 16, "w"), encode_message(a_state("w")), None)
+        rig.put(key_expressions.state_key("f" * 16, "w"), encode_message(a_state("w")), None)
         uplink.report(a_state("w", progress=7))
         assert heard.next(Heartbeat, worker="w").state.progress == 7
 
@@ -295,7 +295,7 @@ def test_a_worker_that_has_left_gets_nothing(rig: Rig) -> None:
     assert received == []
 
 
-STATE, RESULT = keys.state_key(RUN, "w"), keys.result_key(RUN, "w", "maximum.0.true.0", 1)
+STATE, RESULT = key_expressions.state_key(RUN, "w"), key_expressions.result_key(RUN, "w", "maximum.0.true.0", 1)
 
 
 @pytest.mark.parametrize(
@@ -344,7 +344,7 @@ def test_a_worker_ignores_garbage(rig: Rig, payload: bytes) -> None:
     received: list[Request] = []
     with joined(rig, "w", received.append):
         heard.next(Token, worker="w")
-        rig.put(keys.request_key(RUN, "w"), payload, end_of(rig)._requests.seal("w", payload))
+        rig.put(key_expressions.request_key(RUN, "w"), payload, end_of(rig)._requests.seal("w", payload))
         rig.put(*end_of(rig).request("w", Ack(rollout="maximum.0.true.0", attempt=3)))
         eventually(lambda: received != [])
     assert received == [Ack(rollout="maximum.0.true.0", attempt=3)]
@@ -360,7 +360,10 @@ def test_a_worker_obeys_its_orchestrator_alone(rig: Rig) -> None:
     last = Ack(rollout="maximum.0.true.0", attempt=3)
     with joined(rig, "w", received.append):
         heard.next(Token, worker="w")
-        key, other = keys.request_key(RUN, "w"), end_of(rig).request("v", Ack(rollout="maximum.0.true.0", attempt=1))
+        key, other = (
+            key_expressions.request_key(RUN, "w"),
+            end_of(rig).request("v", Ack(rollout="maximum.0.true.0", attempt=1)),
+        )
         said = end_of(rig).request("w", Ack(rollout="maximum.0.true.0", attempt=2))
         foreign = OrchestratorEnd(b"another secret of a stranger", RUN).request("w", last)
         earlier = OrchestratorEnd(SECRET, RUN).request("w", last)
@@ -406,14 +409,14 @@ def test_an_orchestrator_without_the_secret_is_a_stranger(rig: Rig) -> None:
     with rig.uplink() as uplink:
         assert isinstance(uplink, ZenohUplink | InMemoryUplink)
         end = uplink._end
-        end.appear(keys.live_orchestrator(RUN, forged))
+        end.appear(key_expressions.live_orchestrator(RUN, forged))
         assert end.strangers
         assert uplink.orchestrators() == []
         listening(rig)
         eventually(lambda: len(uplink.orchestrators()) == 1)
         # One that was announced for another run does not count in this one.
         ((name, _),) = uplink.orchestrators()
-        end.appear(keys.live_orchestrator("f" * 16, name))
+        end.appear(key_expressions.live_orchestrator("f" * 16, name))
         assert [run for _, run in uplink.orchestrators()] == [RUN]
 
 

@@ -5,7 +5,7 @@ import os
 import sys
 from pathlib import Path
 
-from perfbound.schemas.blas import one_blas_thread
+from perfbound.schemas.platforms import one_blas_thread
 
 one_blas_thread()
 

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from perfbound.schemas.blas import one_blas_thread
+from perfbound.schemas.platforms import one_blas_thread
 
 one_blas_thread()
 
@@ -29,10 +29,10 @@ from perfbound.orchestrator.mathematics.calibration.sampled import SampledValues
 from perfbound.orchestrator.run.calibration import Calibration, CalibrationWish, with_file  # noqa: E402
 from perfbound.orchestrator.run.calibration_pilot import CalibrationPilot  # noqa: E402
 from perfbound.orchestrator.run.calibration_rollouts import RolloutBatch, StartRollout  # noqa: E402
-from perfbound.schemas.campaign import CampaignConfig  # noqa: E402
-from perfbound.schemas.campaign_draft import Draft, load_draft  # noqa: E402
-from perfbound.schemas.campaign_file import parse_campaign  # noqa: E402
-from perfbound.schemas.problem_models import RigorousProblem  # noqa: E402
+from perfbound.schemas.file.config import CampaignConfig  # noqa: E402
+from perfbound.schemas.file.draft import Draft, load_draft  # noqa: E402
+from perfbound.schemas.file.problem_models import RigorousProblem  # noqa: E402
+from perfbound.schemas.file.reader import parse_campaign  # noqa: E402
 from perfbound.schemas.system import Column, Parameter, SystemSpec  # noqa: E402
 from tests.coverage import spot_checks  # noqa: E402
 from tests.coverage.functions import SIDE, Floats, Function  # noqa: E402

@@ -18,7 +18,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
-from perfbound.schemas.blas import one_blas_thread
+from perfbound.schemas.platforms import one_blas_thread
 
 one_blas_thread()
 

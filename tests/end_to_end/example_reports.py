@@ -35,7 +35,7 @@ from perfbound.orchestrator.report.rollout_data import (
 )
 from perfbound.orchestrator.report.worker_data import FailedAttempt, SetAsideRow, Throughput, WorkerRow
 from perfbound.orchestrator.store.changes import ComparedResult
-from perfbound.schemas.certificate import Assumption, CompositionTerms, Status
+from perfbound.schemas.result.certificate import Assumption, CompositionTerms, Status
 
 AXES = (Axis("x", "m", 0.0, 4.0), Axis("y", "m", 0.0, 3.0))
 NODES = tuple((float(i), float(j)) for i in range(5) for j in range(4))

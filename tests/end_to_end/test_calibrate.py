@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from perfbound.schemas.campaign_file import load_campaign
-from perfbound.schemas.certificate import Certificate
-from perfbound.schemas.problem_models import KrigingProblem, RigorousProblem
+from perfbound.schemas.file.problem_models import KrigingProblem, RigorousProblem
+from perfbound.schemas.file.reader import load_campaign
+from perfbound.schemas.result.certificate import Certificate
 from tests.end_to_end.processes import Processes, contents, processes, wait_for
 from tests.end_to_end.test_wheel import ROOT
 

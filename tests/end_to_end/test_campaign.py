@@ -14,7 +14,7 @@ import trustme
 from mcap.reader import make_reader
 
 from perfbound.orchestrator.store import lock, read
-from perfbound.schemas.trajectory import decode
+from perfbound.schemas.trajectory.trajectory import decode
 from tests.end_to_end.processes import (
     ROLLOUTS,
     Process,

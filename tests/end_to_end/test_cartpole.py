@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from perfbound.orchestrator.certificate.verify.checks import ABSENT
-from perfbound.schemas.certificate import Certificate
+from perfbound.schemas.result.certificate import Certificate
 from tests.end_to_end.processes import Processes, processes, recorded, wait_for
 
 EXAMPLE = Path(__file__).parents[2] / "deploy" / "examples" / "cartpole"

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from perfbound.schemas.certificate import Certificate
+from perfbound.schemas.result.certificate import Certificate
 from tests.end_to_end import processes
 from tests.end_to_end.processes import Processes, of_run, query, wait_for
 

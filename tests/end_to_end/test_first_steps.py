@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from perfbound.orchestrator.run.new_package import write_package
-from perfbound.schemas.campaign_file import parse_campaign
-from perfbound.schemas.certificate import Certificate
-from perfbound.schemas.trajectory import decode
+from perfbound.schemas.file.reader import parse_campaign
+from perfbound.schemas.result.certificate import Certificate
+from perfbound.schemas.trajectory.trajectory import decode
 from tests.end_to_end.processes import Processes, contents, processes
 from tests.end_to_end.test_wheel import ROOT, backend, call, environment, site_packages
 

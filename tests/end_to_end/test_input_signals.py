@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from perfbound.orchestrator.certificate.verify.checks import ABSENT
-from perfbound.schemas.trajectory import read_mcap
+from perfbound.schemas.trajectory.trajectory import read_mcap
 from tests.end_to_end.processes import Processes, recorded, wait_for
 from tests.end_to_end.test_report import page_data
 

@@ -15,7 +15,7 @@ from google.protobuf.message import Message
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from perfbound.schemas.trajectory import decode
+from perfbound.schemas.trajectory.trajectory import decode
 from tests.end_to_end import processes
 from tests.end_to_end.processes import BIN, Ended, Processes
 from tests.patience import PATIENCE

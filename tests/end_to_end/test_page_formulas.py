@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser
 
-from perfbound.schemas.problems import Quantity
+from perfbound.schemas.file.objectives import Quantity
 from tests.end_to_end import browser as chromium
 from tests.end_to_end import example_reports
 from tests.end_to_end.test_page import opened

@@ -9,8 +9,8 @@ import psutil
 import pytest
 
 from perfbound.orchestrator.certificate.verify.checks import ABSENT
-from perfbound.schemas.campaign_file import load_campaign
-from perfbound.schemas.certificate import Certificate
+from perfbound.schemas.file.reader import load_campaign
+from perfbound.schemas.result.certificate import Certificate
 from tests.end_to_end.processes import Ended, Processes, processes, recorded, wait_for
 
 EXAMPLE = Path(__file__).parents[2] / "deploy" / "examples" / "pendulum"

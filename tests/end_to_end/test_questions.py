@@ -9,7 +9,7 @@ import pytest
 
 from perfbound.orchestrator.campaign.first_file import MOST_KEYS, key_lines
 from perfbound.orchestrator.campaign.questions import QUESTIONS
-from perfbound.schemas.certificate import Certificate
+from perfbound.schemas.result.certificate import Certificate
 from tests.end_to_end.pages import EXAMPLES, PAGE
 from tests.end_to_end.processes import Processes
 

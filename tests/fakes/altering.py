@@ -1,7 +1,7 @@
 """The uplink of a worker that alters its results and proves what it sends: it has the secrets of its assignments."""
 
-from perfbound.schemas.messages import Assign, Request, ResultHeader, WorkerState
-from perfbound.schemas.seal import result_proof
+from perfbound.schemas.link.messages import Assign, Request, ResultHeader, WorkerState
+from perfbound.schemas.link.seal import result_proof
 from perfbound.workers.transport import Receiver
 from tests.fakes.inmemory import InMemoryUplink
 

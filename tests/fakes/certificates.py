@@ -12,8 +12,8 @@ from perfbound.orchestrator.fleet.authority import (
     key_bytes,
     new_authority,
 )
-from perfbound.schemas.certificates import Role
-from perfbound.schemas.link import Tls
+from perfbound.schemas.link.configuration import Tls
+from perfbound.schemas.link.tls_files import Role
 
 DAY = timedelta(days=1)
 

@@ -10,7 +10,7 @@ from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.issue import issue, manifest
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.rows import DATABASE
-from perfbound.schemas.campaign import CampaignConfig
+from perfbound.schemas.file.config import CampaignConfig
 from tests.campaigns import table
 from tests.fakes.puppets import Stage
 

@@ -1,7 +1,8 @@
 """Both transport ports in memory, joined by a scripted network; and a whole campaign in one process.
 
 The network carries bytes under the keys of the protocol, as Zenoh does, and reads them with the same functions of
-`perfbound.schemas.messages`. What it loses, delays and repeats follows from a seed; liveliness tokens are never lost.
+`perfbound.schemas.link.messages`. What it loses, delays and repeats follows from a seed; liveliness tokens are never
+lost.
 """
 
 import heapq
@@ -30,13 +31,13 @@ from perfbound.orchestrator.run.trust import doubted
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.lock import campaign_lock
-from perfbound.schemas import keys
-from perfbound.schemas.campaign import CampaignConfig
-from perfbound.schemas.campaign_check import check_against
 from perfbound.schemas.errors import MessageError, RefusedError
-from perfbound.schemas.facts import Header
-from perfbound.schemas.messages import MAX_RESULT, Refuse, Request, ResultHeader, WorkerState
-from perfbound.schemas.sealed import OrchestratorEnd, Packet, WorkerEnd
+from perfbound.schemas.file.against_system import check_against
+from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.link import key_expressions
+from perfbound.schemas.link.ends import OrchestratorEnd, Packet, WorkerEnd
+from perfbound.schemas.link.messages import MAX_RESULT, Refuse, Request, ResultHeader, WorkerState
+from perfbound.schemas.result.facts import Header
 from perfbound.workers import worker as worker_module
 from perfbound.workers.systems import load_system
 from perfbound.workers.transport import Receiver, Uplink
@@ -155,7 +156,7 @@ class InMemoryTransport:
 
     def _appear(self, run: str) -> None:
         self._network.transports[self.end.name] = self
-        self._network.announce(keys.live_orchestrator(run, self.end.name), alive=True)
+        self._network.announce(key_expressions.live_orchestrator(run, self.end.name), alive=True)
         for worker in [worker for of, worker in self._network.uplinks if of == run]:
             self.hear(worker, alive=True)
 
@@ -170,7 +171,7 @@ class InMemoryTransport:
 
     def _disappear(self) -> None:
         self._network.transports.pop(self.end.name, None)
-        self._network.announce(keys.live_orchestrator(self.run, self.end.name), alive=False)
+        self._network.announce(key_expressions.live_orchestrator(self.run, self.end.name), alive=False)
 
     def hear(self, worker: str, *, alive: bool) -> None:
         """Take a worker's token."""
@@ -178,7 +179,7 @@ class InMemoryTransport:
 
     def arrive(self, key: str, payload: bytes, attachment: bytes | None) -> None:
         """Take what a worker put."""
-        at, worker = time.monotonic(), keys.sender_of(key)
+        at, worker = time.monotonic(), key_expressions.sender_of(key)
         try:
             self._deliver(_read(self.end, at, key, payload, attachment))
         except MessageError as error:
@@ -190,8 +191,8 @@ class InMemoryTransport:
 
 
 def _read(end: OrchestratorEnd, at: float, key: str, payload: bytes, attachment: bytes | None) -> Inbound:
-    worker = keys.worker_of(key)
-    if keys.last(key) == "state":
+    worker = key_expressions.worker_of(key)
+    if key_expressions.last(key) == "state":
         return Heartbeat(at, worker, end.state(worker, payload, attachment))
     header = end.header(worker, attachment)
     if len(payload) > MAX_RESULT:
@@ -302,7 +303,7 @@ def working(network: Network, run: str, wraps: Sequence[Wrap]) -> Iterator[list[
     threads, workers = [], []
     for number, wrap in enumerate(wraps):
         uplink = wrap(InMemoryUplink(network))
-        worker = WorkerProcess(keys.fresh_id(f"worker-{number}"), uplink)
+        worker = WorkerProcess(key_expressions.fresh_id(f"worker-{number}"), uplink)
         threads.append(threading.Thread(target=live, args=(worker, uplink), name=worker.name))
         workers.append(worker)
     for thread in threads:

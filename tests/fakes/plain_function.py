@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from perfbound.schemas.system import Column, OptionValue, Parameter, SystemSpec, Variant
-from perfbound.schemas.trajectory import Trajectory
+from perfbound.schemas.trajectory.trajectory import Trajectory
 from perfbound.workers.systems.base import Progress, SystemUnderTest, checked_options
 
 ROOT = Path(__file__).parents[2]

@@ -19,10 +19,9 @@ from perfbound.orchestrator.fleet.transport import Heartbeat, Result, Sink, Toke
 from perfbound.orchestrator.run.service import Interrupted, RunStatus, Service
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.schemas import __version__
-from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.errors import Stopped
-from perfbound.schemas.facts import Header
-from perfbound.schemas.messages import (
+from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.link.messages import (
     PROTOCOL,
     Assign,
     Request,
@@ -33,12 +32,13 @@ from perfbound.schemas.messages import (
     decode_state,
     encode_message,
 )
+from perfbound.schemas.link.seal import result_proof
 from perfbound.schemas.platforms import platform_class
+from perfbound.schemas.result.facts import Header
 from perfbound.schemas.rollout import RolloutRequest
-from perfbound.schemas.seal import result_proof
 from perfbound.schemas.system import SystemSpec
-from perfbound.schemas.trajectory import Trajectory
-from perfbound.schemas.trajectory import encode as encode_file
+from perfbound.schemas.trajectory.trajectory import Trajectory
+from perfbound.schemas.trajectory.trajectory import encode as encode_file
 from perfbound.workers.systems import load_system
 from tests.patience import patience
 

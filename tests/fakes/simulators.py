@@ -22,14 +22,14 @@ from perfbound.orchestrator.run.service import Interrupted, RunStatus, Service
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.rows import DATABASE
-from perfbound.schemas.campaign import CampaignConfig
-from perfbound.schemas.campaign_check import check_against
 from perfbound.schemas.errors import SimulationError, Stopped
-from perfbound.schemas.facts import Header
-from perfbound.schemas.messages import Assign, ResultHeader
+from perfbound.schemas.file.against_system import check_against
+from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.link.messages import Assign, ResultHeader
+from perfbound.schemas.result.facts import Header
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.system import Column, Parameter, SystemSpec
-from perfbound.schemas.trajectory import Trajectory, encode
+from perfbound.schemas.trajectory.trajectory import Trajectory, encode
 from tests.fakes.puppets import Puppets
 
 Function = Callable[[RolloutRequest], float]

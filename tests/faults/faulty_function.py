@@ -21,7 +21,7 @@ import numpy as np
 
 from perfbound.schemas.errors import SimulationError
 from perfbound.schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, Variant
-from perfbound.schemas.trajectory import Trajectory
+from perfbound.schemas.trajectory.trajectory import Trajectory
 from perfbound.workers.systems.base import Progress, SystemUnderTest, checked_options
 
 STEP = 0.02

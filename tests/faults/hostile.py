@@ -23,10 +23,11 @@ import click
 import numpy as np
 import zenoh
 
-from perfbound.schemas import __version__, keys
-from perfbound.schemas.messages import PROTOCOL
+from perfbound.schemas import __version__
+from perfbound.schemas.link import key_expressions
+from perfbound.schemas.link.messages import PROTOCOL
 from perfbound.schemas.rollout import RolloutRequest
-from perfbound.schemas.trajectory import Trajectory, encode
+from perfbound.schemas.trajectory.trajectory import Trajectory, encode
 from tests.end_to_end.processes import query, under_way
 
 RATE = 200
@@ -67,9 +68,9 @@ class Peer:
             "transport": {"shared_memory": {"enabled": False}, **({"auth": {"usrpwd": link}} if link else {})},
         }
         self.session = session = zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
-        self.declared = [session.declare_subscriber(f"{keys.ROOT}/**", self._hear)]
-        tokens = [keys.live_worker(self.run, NAME)]
-        tokens += [keys.live_orchestrator(run, "0000000000000-forged") for run in (self.run, "forged")]
+        self.declared = [session.declare_subscriber(f"{key_expressions.ROOT}/**", self._hear)]
+        tokens = [key_expressions.live_worker(self.run, NAME)]
+        tokens += [key_expressions.live_orchestrator(run, "0000000000000-forged") for run in (self.run, "forged")]
         self.declared += [session.liveliness().declare_token(token) for token in tokens]
 
     def leave(self) -> None:
@@ -119,7 +120,9 @@ class Peer:
         """Send the end of an attempt in the name of `worker`."""
         digest = hashlib.sha256(payload).hexdigest() if payload else ""
         told = {"rollout": rollout, "attempt": attempt, "worker": worker, "sha256": digest, **header}
-        return self._put(keys.result_key(self.run, worker, rollout, attempt), payload, json.dumps(told).encode())
+        return self._put(
+            key_expressions.result_key(self.run, worker, rollout, attempt), payload, json.dumps(told).encode()
+        )
 
     def _failure(self) -> bool:
         for rollout, attempt, worker, _ in self.busy:
@@ -160,7 +163,7 @@ class Peer:
             if self.requests and self.chance.random() < 0.25:
                 request = dict(self.chance.choice(list(self.requests)))
                 message = {"type": "assign", "attempt": request.pop("attempt") + 1, "request": request}
-            self._put(keys.request_key(self.run, worker), json.dumps(message).encode())
+            self._put(key_expressions.request_key(self.run, worker), json.dumps(message).encode())
         return bool(self.busy)
 
     def _heartbeat(self) -> bool:
@@ -186,7 +189,7 @@ class Peer:
                 "attempt": attempt,
                 "progress": 10 ** self.chance.randrange(30),
             }
-        return self._put(keys.state_key(self.run, name), json.dumps(state).encode())
+        return self._put(key_expressions.state_key(self.run, name), json.dumps(state).encode())
 
     def _replay(self) -> bool:
         if not self.heard:
@@ -202,10 +205,10 @@ class Peer:
         payload = self.chance.choice((self.chance.randbytes(size), b"[" * size, b'{"pid": ' + b"9" * size))
         key = self.chance.choice(
             (
-                keys.state_key(self.run, worker),
-                keys.request_key(self.run, worker),
-                keys.result_key(self.run, worker, f"maximum.{10**12}.true.0", 10**12),
-                keys.result_key(self.run, worker, "maximum.0.true.0", 1),
+                key_expressions.state_key(self.run, worker),
+                key_expressions.request_key(self.run, worker),
+                key_expressions.result_key(self.run, worker, f"maximum.{10**12}.true.0", 10**12),
+                key_expressions.result_key(self.run, worker, "maximum.0.true.0", 1),
             )
         )
         return self._put(key, payload, self.chance.choice((None, payload[:100_000], b"{}")))
@@ -214,7 +217,11 @@ class Peer:
         assert self.session is not None
         names = [worker for _, _, worker, _ in self.busy] or [NAME]
         worker = self.chance.choice(names)
-        self.session.delete(self.chance.choice((keys.live_worker(self.run, worker), keys.state_key(self.run, worker))))
+        self.session.delete(
+            self.chance.choice(
+                (key_expressions.live_worker(self.run, worker), key_expressions.state_key(self.run, worker))
+            )
+        )
         return True
 
 

@@ -5,12 +5,12 @@ from pathlib import Path
 import click
 import pytest
 
-from perfbound.schemas.blas import one_blas_thread
+from perfbound.schemas.platforms import one_blas_thread
 
 one_blas_thread()  # as in every process of perfbound, before numpy is loaded
 
-from perfbound.schemas.campaign_file import parse_campaign  # noqa: E402  (numpy reads the setting once)
 from perfbound.schemas.errors import Stopped  # noqa: E402
+from perfbound.schemas.file.reader import parse_campaign  # noqa: E402  (numpy reads the setting once)
 from tests.fakes.inmemory import Faults, Log, Network, begin, hurry, run_of, serve, working  # noqa: E402
 
 

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from perfbound.schemas.trajectory import read_mcap
+from perfbound.schemas.trajectory.trajectory import read_mcap
 from tests.end_to_end.processes import Ended, Process, query, wait_for
 from tests.faults.faulty_function import honest
 from tests.faults.scene import Scene

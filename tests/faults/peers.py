@@ -3,9 +3,9 @@
 import json
 import signal
 
-from perfbound.schemas.link import USER
-from perfbound.schemas.seal import link_password
-from perfbound.schemas.secret import VARIABLE
+from perfbound.schemas.link.configuration import USER
+from perfbound.schemas.link.seal import link_password
+from perfbound.schemas.link.secret import VARIABLE
 from tests.end_to_end.processes import query, wait_for
 from tests.faults.memory import memory
 from tests.faults.scene import Scene

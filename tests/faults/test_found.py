@@ -12,9 +12,9 @@ import pytest
 
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.rows import DATABASE
-from perfbound.schemas.facts import Header
 from perfbound.schemas.failure import Failure
 from perfbound.schemas.ids import Attempt, RolloutId
+from perfbound.schemas.result.facts import Header
 from perfbound.workers.systems import load_system
 from tests.campaigns import config
 from tests.end_to_end.processes import processes

@@ -35,9 +35,9 @@ from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.progress import read_progress
 from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.orchestrator.store.untrusted import read_untrusted
-from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import PerfboundError, TrajectoryError
-from perfbound.schemas.trajectory import Trajectory, Visual, encode, read_canonical, read_mcap
+from perfbound.schemas.file.reader import parse_campaign
+from perfbound.schemas.trajectory.trajectory import Trajectory, Visual, encode, read_canonical, read_mcap
 from perfbound.workers.systems import load_system
 from tests.campaigns import FOLDER, config
 from tests.fakes.inmemory import campaign

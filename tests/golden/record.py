@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from perfbound.schemas.platforms import class_name, cpu
-from perfbound.schemas.trajectory import Trajectory, encode
+from perfbound.schemas.trajectory.trajectory import Trajectory, encode
 from perfbound.workers.systems.base import SystemUnderTest
 from perfbound.workers.systems.segway.bullet import providers
 

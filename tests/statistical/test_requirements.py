@@ -15,8 +15,8 @@ from perfbound.orchestrator.campaign.methods import method
 from perfbound.orchestrator.campaign.observation import Observer, by_requirement
 from perfbound.orchestrator.campaign.plan import ProblemPlan, plan
 from perfbound.orchestrator.mathematics.bounds.joint import JointMethod
-from perfbound.schemas.facts import Header
-from perfbound.schemas.trajectory import Trajectory
+from perfbound.schemas.result.facts import Header
+from perfbound.schemas.trajectory.trajectory import Trajectory
 from perfbound.schemas.values import Bound, Observation
 from tests.coverage import requirements
 from tests.coverage.oracle import ROUNDING

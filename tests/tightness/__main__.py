@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from perfbound.schemas.blas import one_blas_thread
+from perfbound.schemas.platforms import one_blas_thread
 
 one_blas_thread()
 

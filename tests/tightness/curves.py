@@ -13,7 +13,7 @@ from perfbound.orchestrator.campaign.methods import kernel_method
 from perfbound.orchestrator.mathematics.bounds.kriging_method import KrigingMethod
 from perfbound.orchestrator.mathematics.bounds.risk import linearised
 from perfbound.orchestrator.mathematics.gp.kernels import Floats
-from perfbound.schemas.problem_models import KrigingProblem
+from perfbound.schemas.file.problem_models import KrigingProblem
 from perfbound.schemas.values import Bound, Observation
 from tests.tightness.rollouts import SEED, Recorded, Subject
 

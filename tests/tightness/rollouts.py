@@ -18,8 +18,8 @@ from perfbound.orchestrator.campaign.plan import ProblemPlan, plans
 from perfbound.orchestrator.mathematics.bounds.kriging_design import plan_design
 from perfbound.orchestrator.mathematics.gp.kernels import Floats
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice
-from perfbound.schemas.campaign import CampaignConfig
-from perfbound.schemas.campaign_file import load_campaign
+from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.file.reader import load_campaign
 from perfbound.schemas.system import OptionValue
 from perfbound.workers.systems import load_system
 from perfbound.workers.systems.base import SystemUnderTest

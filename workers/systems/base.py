@@ -5,9 +5,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 from ...schemas.errors import SimulationError
-from ...schemas.input_signal import InputSignal
 from ...schemas.system import Option, OptionValue, SystemSpec, Variant
-from ...schemas.trajectory import Trajectory, Visual
+from ...schemas.trajectory.input_signal import InputSignal
+from ...schemas.trajectory.trajectory import Trajectory, Visual
 
 Progress = Callable[[int], None]
 """Called with the number of control steps done so far; it may raise `Cancelled`."""

@@ -12,7 +12,7 @@ from typing import Any
 
 from ...schemas.errors import DefinitionError, ReplacedError
 from ...schemas.system import SystemSpec
-from ...schemas.trajectory import Trajectory, Visual
+from ...schemas.trajectory.trajectory import Trajectory, Visual
 from .base import SystemUnderTest
 from .fingerprint import CACHES, file_sha256
 

@@ -8,10 +8,10 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from ...schemas.campaign_file import load_description
 from ...schemas.errors import DefinitionError
+from ...schemas.file.reader import load_description
+from ...schemas.file.space import SystemChoice
 from ...schemas.places import PACKAGES
-from ...schemas.space import SystemChoice
 from ..faults import NOT_OF_SYSTEMS
 from .base import SystemUnderTest
 from .declared import DeclaredFiles, WithSpec, declared_files

@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...schemas.errors import DefinitionError, SimulationError, shortened
+from ...schemas.file.space import SystemChoice
 from ...schemas.ranges import SEED_BITS
 from ...schemas.real_numbers import real_array
-from ...schemas.space import SystemChoice
 from ...schemas.system import AfterEnd, Option, OptionValue, Parameter, SystemSpec, Variant, timed_columns
-from ...schemas.trajectory import Trajectory, Visual
+from ...schemas.trajectory.trajectory import Trajectory, Visual
 from ...schemas.values import Stamps
 from .base import Progress, SystemUnderTest, checked_options
 from .life import signs_of_life

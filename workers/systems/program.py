@@ -21,16 +21,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import DefinitionError, SimulationError
-from ...schemas.input_signal import InputSignal
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.space import ProgramLimits, SampleFormat, SystemChoice
+from ...schemas.link.secret import VARIABLE
 from ...schemas.number_text import number_in
 from ...schemas.ranges import MAX_FILE_BYTES, SEED_BITS
 from ...schemas.real_numbers import real_array
-from ...schemas.secret import VARIABLE
-from ...schemas.space import ProgramLimits, SampleFormat, SystemChoice
 from ...schemas.system import Option, OptionValue, Parameter, SystemSpec, Variant, timed_columns
-from ...schemas.trajectory import Trajectory, Visual
+from ...schemas.trajectory.input_signal import InputSignal
+from ...schemas.trajectory.trajectory import Trajectory, Visual
 from .base import Progress, SystemUnderTest, checked_options
 from .declared import NO_FILES, DeclaredFiles, declared_files
 from .place import Worker

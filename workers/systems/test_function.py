@@ -8,7 +8,7 @@ from importlib.metadata import version
 import numpy as np
 
 from ...schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, Variant
-from ...schemas.trajectory import Trajectory
+from ...schemas.trajectory.trajectory import Trajectory
 from .base import Progress, SystemUnderTest, checked_options
 
 

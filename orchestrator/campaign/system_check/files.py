@@ -4,7 +4,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable
 from pathlib import PurePosixPath
 
-from ....schemas.toml_text import toml_value
+from ....schemas.file.toml_text import toml_value
 from .findings import SystemFinding, passed, warning
 from .measurements import Measurements
 

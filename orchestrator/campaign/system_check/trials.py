@@ -7,11 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
+from ....schemas.file.parameters import parameter_ranges
+from ....schemas.file.space import Space
 from ....schemas.ids import RolloutId
 from ....schemas.instants import SAMPLES
-from ....schemas.parameters import parameter_ranges
 from ....schemas.rollout import RequestTemplate, RolloutRequest
-from ....schemas.space import Space
 from ....schemas.system import OptionValue, Parameter, SystemSpec, Variant
 from ....schemas.system_check import ChildRun, Trial
 from ..region import Condition, condition

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from ....schemas.attempt_record import MAX_RECORD, TABLES, AttemptRecord
 from ....schemas.errors import SignatureError
+from ....schemas.result.attempt_record import MAX_RECORD, TABLES, AttemptRecord
 from ...store.attempt_record import table_digests
 from ...store.files import contents
 from .. import files, keys, sign

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from typing import Any
 
 from ....schemas.base import digest
-from ....schemas.facts import (
+from ....schemas.result.facts import (
     BoundFact,
     DiscardFact,
     ExtensionFact,

@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 
-from ....schemas.certificate import Certificate
 from ....schemas.errors import EvidenceError
-from ....schemas.facts import DiscardFact
 from ....schemas.ids import RolloutId
+from ....schemas.result.certificate import Certificate
+from ....schemas.result.facts import DiscardFact
 from ...campaign.admission import admit
 from ...campaign.border import objective_fault
 from ...campaign.ledger import Ledger

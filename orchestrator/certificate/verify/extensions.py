@@ -1,7 +1,7 @@
 """The extensions of a certificate: the larger budgets that it lists, as facts for the rerun of the campaign."""
 
-from ....schemas.certificate import Assumption, Certificate
-from ....schemas.facts import ExtensionFact
+from ....schemas.result.certificate import Assumption, Certificate
+from ....schemas.result.facts import ExtensionFact
 from ..assumptions import EXTENDED
 from .checks import CheckFailed
 

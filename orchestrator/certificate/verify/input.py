@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from ....schemas.certificate import Certificate
 from ....schemas.errors import PerfboundError
+from ....schemas.result.certificate import Certificate
 from ...store import files as evidence
 from .. import files, keys, sign
 from .checks import CheckFailed, Checks

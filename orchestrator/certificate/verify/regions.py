@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from ....schemas.certificate import Certificate, CertifiedRegions
+from ....schemas.result.certificate import Certificate, CertifiedRegions
 from ...campaign.ledger import Ledger
 from ...mathematics.bounds.regions import MARGIN, SAFE, STATUSES, UNSAFE, covered
 from ...mathematics.gp.lattice import Lattice

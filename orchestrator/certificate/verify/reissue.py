@@ -3,9 +3,9 @@
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
-from ....schemas.certificate import Assumption, Certificate
-from ....schemas.facts import Header
-from ....schemas.requirements import parts_of
+from ....schemas.file.parts import parts_of
+from ....schemas.result.certificate import Assumption, Certificate
+from ....schemas.result.facts import Header
 from ...campaign.ledger import observed_discards
 from ..issue import issue, manifest
 from ..sentences import is_in_its_words, is_worded_here

@@ -10,9 +10,17 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ....schemas.errors import EvidenceError, IllegalEvent, PerfboundError, RequestError, TrajectoryError
-from ....schemas.facts import DiscardFact, ExtensionFact, Fact, Header, ObservationFact, ProposalFact, RolloutFact
 from ....schemas.ids import RolloutId
-from ....schemas.trajectory import Trajectory, decode, read_mcap
+from ....schemas.result.facts import (
+    DiscardFact,
+    ExtensionFact,
+    Fact,
+    Header,
+    ObservationFact,
+    ProposalFact,
+    RolloutFact,
+)
+from ....schemas.trajectory.trajectory import Trajectory, decode, read_mcap
 from ....schemas.values import Proposal
 from ...campaign.admission import admit
 from ...campaign.ledger import Ledger, Work

@@ -14,7 +14,7 @@ import numpy as np
 from ....schemas.base import canonical_json
 from ....schemas.ids import RolloutId
 from ....schemas.rollout import RolloutRequest
-from ....schemas.trajectory import Trajectory, read_mcap
+from ....schemas.trajectory.trajectory import Trajectory, read_mcap
 from ...mathematics.bounds.share import unseen_share
 from ...store import files
 from .checks import CheckFailed

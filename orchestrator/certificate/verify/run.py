@@ -12,10 +12,10 @@ from functools import partial
 from pathlib import Path
 
 from ....schemas import __version__
-from ....schemas.certificate import Certificate
 from ....schemas.errors import JournalError, Stopped
-from ....schemas.facts import Header, ObservationFact, ProposalFact
 from ....schemas.ids import RolloutId
+from ....schemas.result.certificate import Certificate
+from ....schemas.result.facts import Header, ObservationFact, ProposalFact
 from ....schemas.rollout import RolloutRequest
 from ...campaign.checks import check
 from ...campaign.ledger import observed_discards

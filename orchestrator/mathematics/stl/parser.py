@@ -315,7 +315,7 @@ def _unexpected(token: FormulaToken) -> str:
 
 def _meant(word: str, allowed: Collection[str]) -> str:
     """Return a question with the nearest of the `allowed` words; empty if none is near."""
-    # As `schemas.meant`, which cannot be imported here: the mathematics takes the values of the schemas alone.
+    # As `schemas.errors`, which cannot be imported here: the mathematics takes the values of the schemas alone.
     small = {each.lower(): each for each in sorted(allowed)}
     near = difflib.get_close_matches(word.lower(), small, 1)
     return f"did you mean {small[near[0]]!r}? " if near else ""

@@ -9,11 +9,11 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
-from ....schemas.campaign import CampaignConfig
-from ....schemas.campaign_file import load_campaign
 from ....schemas.errors import PerfboundError
-from ....schemas.link import LOCAL
-from ....schemas.problems import MethodName, ProblemName
+from ....schemas.file.config import CampaignConfig
+from ....schemas.file.objectives import MethodName, ProblemName
+from ....schemas.file.reader import load_campaign
+from ....schemas.link.configuration import LOCAL
 from ...certificate import files
 from ...run import session
 from ...run.directory import stored_differently

@@ -4,7 +4,7 @@ import statistics
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
-from ....schemas.certificate import Predicate
+from ....schemas.result.certificate import Predicate
 from ...certificate.bound_text import outward
 from .published import TABLE, THEOREM_2, Printed
 from .study import DIRECT, FUNCTION, PAPER, RIGOROUS, SCENARIO

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ....schemas.trajectory import Trajectory
+from ....schemas.trajectory.trajectory import Trajectory
 
 TOLERANCE = 1e-9
 """Largest difference, in the unit of the column, allowed to another machine: its CPU may round differently."""

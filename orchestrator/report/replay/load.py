@@ -7,10 +7,10 @@ import sqlalchemy as sa
 from sqlalchemy import Connection
 
 from ....schemas.errors import EvidenceError, PerfboundError
-from ....schemas.facts import Header, ProposalFact, RolloutFact
 from ....schemas.ids import RolloutId
+from ....schemas.result.facts import Header, ProposalFact, RolloutFact
 from ....schemas.rollout import RolloutRequest
-from ....schemas.trajectory import Trajectory
+from ....schemas.trajectory.trajectory import Trajectory
 from ...store import tables
 from ...store.read import read_header, reading
 from ...store.rows import READERS

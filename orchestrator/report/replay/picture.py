@@ -8,7 +8,7 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ....schemas.trajectory import Trajectory
+from ....schemas.trajectory.trajectory import Trajectory
 from ..style import BLUE, RED, with_unit
 
 WIDTH = 10.0

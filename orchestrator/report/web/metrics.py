@@ -22,10 +22,10 @@ from prometheus_client.openmetrics.exposition import generate_latest as open_met
 from prometheus_client.registry import Collector as MetricSource
 
 from ....schemas import __version__
-from ....schemas.facts import HANDED_BACK, NO_FAILURE
-from ....schemas.so_far import Span
+from ....schemas.result.facts import HANDED_BACK, NO_FAILURE
+from ....schemas.result.so_far import Span
+from ....schemas.result.verdict import VerdictWord
 from ....schemas.values import Bound, ProblemProgress
-from ....schemas.verdict import VerdictWord
 from ...fleet.state import WorkerPhase
 from ...run.feed import RunFigures
 from ...run.table import bound_in_sense

@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from ....schemas.certificate import Certificate
-from ....schemas.facts import Header
-from ....schemas.so_far import Expected, SoFar
-from ....schemas.verdict import VerdictWord
+from ....schemas.result.certificate import Certificate
+from ....schemas.result.facts import Header
+from ....schemas.result.so_far import Expected, SoFar
+from ....schemas.result.verdict import VerdictWord
 from ...certificate import files
 from ...run.verdict import verdict_of
 from ...store import lock

@@ -23,12 +23,12 @@ from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.lock import campaign_lock
 from perfbound.orchestrator.store.rows import DATABASE
-from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.errors import PerfboundError, UnusableTrajectoryError
+from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.ids import RolloutId
-from perfbound.schemas.messages import Assign, Request
+from perfbound.schemas.link.messages import Assign, Request
 from perfbound.schemas.rollout import RolloutRequest
-from perfbound.schemas.trajectory import Trajectory, encode, read_mcap
+from perfbound.schemas.trajectory.trajectory import Trajectory, encode, read_mcap
 from tests.campaigns import table
 from tests.fakes.finished import KERNEL, a_pair
 from tests.fakes.puppets import Puppets, Stage

@@ -24,10 +24,10 @@ from perfbound.orchestrator.mathematics.calibration.steepness import PLACES
 from perfbound.orchestrator.mathematics.calibration.trust import DOUBTED
 from perfbound.orchestrator.run.calibration import Calibration, CalibrationWish, with_file
 from perfbound.orchestrator.run.calibration_pilot import CalibrationPilot
-from perfbound.schemas.campaign_draft import CLIP, Draft, load_draft
-from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import CampaignError
-from perfbound.schemas.problem_models import KrigingProblem, RigorousProblem
+from perfbound.schemas.file.draft import CLIP, Draft, load_draft
+from perfbound.schemas.file.problem_models import KrigingProblem, RigorousProblem
+from perfbound.schemas.file.reader import parse_campaign
 from tests.coverage.calibration import FunctionRollouts, spec
 from tests.coverage.functions import Floats
 from tests.coverage.spot_checks import OBSERVED

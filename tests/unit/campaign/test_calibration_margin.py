@@ -3,7 +3,7 @@
 import pytest
 
 from perfbound.orchestrator.campaign.calibration_margin import forecast_margin_words, required_objective
-from perfbound.schemas.campaign import CampaignConfig
+from perfbound.schemas.file.config import CampaignConfig
 from tests.fakes.simulators import robustness
 
 PAPER = {"method": "rigorous", "alpha": 0.1, "rkhs_norm": 2.0, "noise_scale": 0.0, "kernel": {"length_scale": 0.7}}

@@ -9,9 +9,9 @@ from perfbound.orchestrator.campaign.checks import check, check_new
 from perfbound.orchestrator.campaign.clip import by_clip, floored, is_vacuous, least_risk, of_drawn_starts
 from perfbound.orchestrator.mathematics.bounds.risk import bhatia_davis
 from perfbound.orchestrator.mathematics.bounds.rounding import round_down
-from perfbound.schemas.claims import ClaimRequest
 from perfbound.schemas.errors import CampaignError
-from perfbound.schemas.problem_models import Gap
+from perfbound.schemas.file.drawn_claims import ClaimRequest
+from perfbound.schemas.file.problem_models import Gap
 from perfbound.workers.systems.test_function import TestFunctionSystem
 from tests.campaigns import config
 from tests.fakes.finished import a_pair

@@ -8,10 +8,10 @@ import pytest
 
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.verify.run import verify_certificate
-from perfbound.schemas.campaign import CampaignConfig
-from perfbound.schemas.campaign_file import parse_campaign
-from perfbound.schemas.certificate import Certificate
-from perfbound.schemas.composition import composed_claims
+from perfbound.schemas.file.composition import composed_claims
+from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.file.reader import parse_campaign
+from perfbound.schemas.result.certificate import Certificate
 from tests.fakes.finished import KERNEL, a_pair, finish, play
 
 PAIR = ["nominal_robustness", "sim_gap"]

@@ -14,10 +14,10 @@ from perfbound.orchestrator.certificate.text import print_certificate
 from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import read
-from perfbound.schemas.campaign import CampaignConfig
-from perfbound.schemas.certificate import Certificate
-from perfbound.schemas.facts import RolloutFact
+from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.ids import RolloutId
+from perfbound.schemas.result.certificate import Certificate
+from perfbound.schemas.result.facts import RolloutFact
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.values import Bound, Verdict
 from tests.fakes.simulators import noise, predicate, robustness, simulate, verified

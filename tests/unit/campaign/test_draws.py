@@ -19,9 +19,9 @@ from perfbound.orchestrator.campaign.plan import plans
 from perfbound.orchestrator.campaign.seeds import uniform
 from perfbound.orchestrator.campaign.spot_check import _uniform_starts
 from perfbound.schemas.errors import CampaignError
-from perfbound.schemas.facts import Header
-from perfbound.schemas.parameters import signal_shapes
-from perfbound.schemas.space import Box, Range, Scenarios, Space, StartTable
+from perfbound.schemas.file.parameters import signal_shapes
+from perfbound.schemas.file.space import Box, Range, Scenarios, Space, StartTable
+from perfbound.schemas.result.facts import Header
 from perfbound.workers.systems import load_system
 from tests.campaigns import config
 

@@ -26,9 +26,9 @@ from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.progress import read_progress
 from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.orchestrator.store.untrusted import read_untrusted
-from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.errors import CampaignError, IllegalEvent, JournalError
-from perfbound.schemas.facts import BoundFact, ExtensionFact
+from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.result.facts import BoundFact, ExtensionFact
 from perfbound.schemas.rollout import RolloutRequest
 from tests.fakes.simulators import noise, predicate, robustness, simulate, statuses, verified
 

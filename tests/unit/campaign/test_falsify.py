@@ -18,10 +18,10 @@ from perfbound.orchestrator.mathematics.search import Falsifier
 from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import read
-from perfbound.schemas.campaign import CampaignConfig
-from perfbound.schemas.campaign_file import parse_campaign
-from perfbound.schemas.certificate import Certificate
-from perfbound.schemas.facts import Header, ProposalFact
+from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.file.reader import parse_campaign
+from perfbound.schemas.result.certificate import Certificate
+from perfbound.schemas.result.facts import Header, ProposalFact
 from perfbound.schemas.rollout import RolloutRequest
 from tests.fakes.simulators import noise, robustness, simulate, spec, verified
 

@@ -17,10 +17,10 @@ from perfbound.orchestrator.campaign.pilot import NU
 from perfbound.orchestrator.campaign.plan import plans
 from perfbound.orchestrator.campaign.questions import QUESTIONS, docs_table, question_help, unknown_question
 from perfbound.orchestrator.run.first_campaign import _reachable
-from perfbound.schemas.campaign_file import parse_campaign
-from perfbound.schemas.problem_models import RigorousProblem
-from perfbound.schemas.problems import ProblemName
-from perfbound.schemas.space import SystemChoice
+from perfbound.schemas.file.objectives import ProblemName
+from perfbound.schemas.file.problem_models import RigorousProblem
+from perfbound.schemas.file.reader import parse_campaign
+from perfbound.schemas.file.space import SystemChoice
 from perfbound.schemas.system import Column, Option, Parameter, SystemSpec
 
 EVIL = 'a "quoted" \\ word\n[space]\n\x1b[2J\x7f # and more'

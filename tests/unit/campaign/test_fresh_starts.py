@@ -9,7 +9,7 @@ import pytest
 from perfbound.orchestrator.certificate import files, text
 from perfbound.orchestrator.run.verdict import verdict_of
 from perfbound.orchestrator.store.read import stored_header
-from perfbound.schemas.campaign import CampaignConfig
+from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.rollout import RolloutRequest
 from tests.fakes.simulators import noise, predicate, robustness, simulate, spec, statuses, verified
 

@@ -13,9 +13,9 @@ from perfbound.orchestrator.certificate.text import claim_words, margin_at_most_
 from perfbound.orchestrator.certificate.verdict import guarantee
 from perfbound.orchestrator.mathematics.stl.reach import ANY
 from perfbound.orchestrator.report.wording import claim_sentence
-from perfbound.schemas.certificate import CertificateClaim, MostStarts
-from perfbound.schemas.claims import SAMPLED, ClaimRequest, DrawnClaim
-from perfbound.schemas.problems import Quantity, Reading
+from perfbound.schemas.file.drawn_claims import SAMPLED, ClaimRequest, DrawnClaim
+from perfbound.schemas.file.objectives import Quantity, Reading
+from perfbound.schemas.result.certificate import CertificateClaim, MostStarts
 
 LAWS = 40
 CLIPS = [(-1.0, 1.0), (-0.05, 0.75), (-10.0, 10.0), (-0.5, 20.0), (-50.0, 0.7)]

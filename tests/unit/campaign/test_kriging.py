@@ -15,9 +15,9 @@ from perfbound.orchestrator.mathematics.bounds.kriging_method import KrigingMeth
 from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store.read import read_header, reading
-from perfbound.schemas.campaign import CampaignConfig
-from perfbound.schemas.campaign_defaults import completed
-from perfbound.schemas.certificate import Predicate
+from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.file.defaults import completed
+from perfbound.schemas.result.certificate import Predicate
 from perfbound.schemas.rollout import RolloutRequest
 from tests.campaigns import table
 from tests.fakes.finished import finish, play

@@ -8,10 +8,10 @@ from pathlib import Path
 from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.certificate.verify.run import verify_certificate
 from perfbound.orchestrator.store.journal import Journal
-from perfbound.schemas.campaign import CampaignConfig
-from perfbound.schemas.facts import Header
+from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.ids import RolloutId
-from perfbound.schemas.trajectory import decode
+from perfbound.schemas.result.facts import Header
+from perfbound.schemas.trajectory.trajectory import decode
 from perfbound.workers.simulate import run_request
 from perfbound.workers.systems import load_system
 from tests.campaigns import config, table

@@ -7,11 +7,11 @@ import pytest
 
 from perfbound.orchestrator.campaign import forecast
 from perfbound.orchestrator.campaign.plan import plan
-from perfbound.schemas.campaign_check import check_against
-from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import CampaignError
-from perfbound.schemas.problem_models import RigorousProblem
-from perfbound.schemas.space import Scenarios
+from perfbound.schemas.file.against_system import check_against
+from perfbound.schemas.file.problem_models import RigorousProblem
+from perfbound.schemas.file.reader import parse_campaign
+from perfbound.schemas.file.space import Scenarios
 from perfbound.schemas.system import Column, Option, Parameter, SystemSpec
 from perfbound.workers.systems import load_system
 from tests.campaigns import FOLDER, PAIR, config

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from perfbound.orchestrator.run.service import RunStatus
-from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.errors import CampaignError, Stopped
+from perfbound.schemas.file.config import CampaignConfig
 from tests.campaigns import table
 from tests.fakes.inmemory import Faults, Log, Network, begin, campaign, hurry, run_of, serve, working
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from perfbound.orchestrator.campaign.objectives import clipped, column_maximum, mean, risk, scored, signal_sup
 from perfbound.orchestrator.mathematics.stl.parser import parse_formula
-from perfbound.schemas.trajectory import Trajectory
+from perfbound.schemas.trajectory.trajectory import Trajectory
 
 COLUMNS = ("t", "phi")
 SPECIFICATION = parse_formula("always (abs(phi) <= 0.95)")

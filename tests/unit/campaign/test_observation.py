@@ -7,7 +7,7 @@ from perfbound.orchestrator.campaign.observation import Observer
 from perfbound.orchestrator.campaign.plan import plan
 from perfbound.orchestrator.mathematics.stl.parser import FormulaError
 from perfbound.schemas.system import Column, Parameter, SystemSpec
-from perfbound.schemas.trajectory import Trajectory
+from perfbound.schemas.trajectory.trajectory import Trajectory
 from tests.campaigns import config
 
 SPEC = SystemSpec(

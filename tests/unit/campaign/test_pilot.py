@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from perfbound.orchestrator.campaign import pilot
 from perfbound.orchestrator.campaign.first_values import Constants
 from perfbound.schemas.system import Parameter
-from perfbound.schemas.trajectory import Trajectory
+from perfbound.schemas.trajectory.trajectory import Trajectory
 
 BOX = tuple(Parameter(name=name, low=low, high=high) for name, low, high in (("a", -1.0, 0.1), ("b", 5.0, 60.0)))
 LENGTHS = tuple(pilot.length_scales(BOX).values())

@@ -14,8 +14,8 @@ from perfbound.orchestrator.campaign.tested import spread
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store.journal import Journal
-from perfbound.schemas.campaign import CampaignConfig
-from perfbound.schemas.certificate import Certificate
+from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.result.certificate import Certificate
 from perfbound.schemas.rollout import RolloutRequest
 from tests.campaigns import config as a_config
 from tests.fakes.simulators import certificates, noise, robustness, simulate, verified

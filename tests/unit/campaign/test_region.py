@@ -20,10 +20,10 @@ from perfbound.orchestrator.mathematics.stl.condition import holds
 from perfbound.orchestrator.mathematics.stl.parser import parse_formula
 from perfbound.orchestrator.mathematics.stl.robustness import robustness
 from perfbound.orchestrator.store import read
-from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import CampaignError
-from perfbound.schemas.facts import Header, ProposalFact
-from perfbound.schemas.space import Box, Range
+from perfbound.schemas.file.reader import parse_campaign
+from perfbound.schemas.file.space import Box, Range
+from perfbound.schemas.result.facts import Header, ProposalFact
 from perfbound.workers.systems import load_system
 from tests.campaigns import config
 from tests.fakes.simulators import robustness as campaign

@@ -23,7 +23,7 @@ from perfbound.orchestrator.certificate.text import print_certificate
 from perfbound.orchestrator.certificate.verify import regions as check
 from perfbound.orchestrator.mathematics.bounds.regions import MARGIN, Regions
 from perfbound.orchestrator.run import service
-from perfbound.schemas.certificate import Certificate, CertifiedRegions
+from perfbound.schemas.result.certificate import Certificate, CertifiedRegions
 from perfbound.schemas.rollout import RolloutRequest
 from tests.fakes.simulators import noise, predicate, robustness, simulate, spec, statuses, verified
 

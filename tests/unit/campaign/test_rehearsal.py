@@ -9,9 +9,9 @@ import pytest
 from perfbound.orchestrator.campaign import rehearsal
 from perfbound.orchestrator.campaign.plan import ProblemPlan, plan
 from perfbound.orchestrator.campaign.rehearsal import PilotRollouts, Rehearsal, expected_tests, rehearsed
-from perfbound.schemas.campaign import CampaignConfig
-from perfbound.schemas.facts import Header
-from perfbound.schemas.trajectory import Trajectory
+from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.result.facts import Header
+from perfbound.schemas.trajectory.trajectory import Trajectory
 from perfbound.schemas.values import Guess
 from perfbound.workers.systems.test_function import TestFunctionSystem
 from tests.campaigns import config

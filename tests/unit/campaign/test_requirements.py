@@ -15,12 +15,12 @@ from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.report.posterior import posterior
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store.export import table_rows
-from perfbound.schemas.campaign import CampaignConfig
-from perfbound.schemas.campaign_check import check_against
-from perfbound.schemas.campaign_file import parse_campaign
-from perfbound.schemas.certificate import Certificate
 from perfbound.schemas.errors import CampaignError, PerfboundError
-from perfbound.schemas.requirements import parts_of
+from perfbound.schemas.file.against_system import check_against
+from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.file.parts import parts_of
+from perfbound.schemas.file.reader import parse_campaign
+from perfbound.schemas.result.certificate import Certificate
 from perfbound.schemas.rollout import RolloutRequest
 from tests.fakes.simulators import certificates, noise, predicate, robustness, simulate, spec, statuses, verified
 

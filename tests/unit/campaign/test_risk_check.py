@@ -19,9 +19,9 @@ from perfbound.orchestrator.certificate.text import check_sentences
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import export, read
 from perfbound.orchestrator.store.journal import Journal
-from perfbound.schemas.campaign import CampaignConfig
-from perfbound.schemas.certificate import Predicate, SpotCheck, SpotCheckedProblem
-from perfbound.schemas.facts import RolloutFact
+from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.result.certificate import Predicate, SpotCheck, SpotCheckedProblem
+from perfbound.schemas.result.facts import RolloutFact
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.system import SystemSpec
 from tests.fakes.simulators import noise, predicate, robustness, simulate, spec, verified

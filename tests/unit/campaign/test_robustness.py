@@ -18,13 +18,13 @@ from perfbound.orchestrator.campaign.consistency import robustness_of
 from perfbound.orchestrator.campaign.observation import Observer
 from perfbound.orchestrator.campaign.plan import UNBOUNDED, plan
 from perfbound.orchestrator.certificate.problem_results import objective
-from perfbound.schemas.campaign import CampaignConfig
-from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import CampaignError, EvidenceError
+from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.file.reader import parse_campaign
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.rollout import RequestTemplate
 from perfbound.schemas.system import SystemSpec
-from perfbound.schemas.trajectory import Trajectory, encode
+from perfbound.schemas.trajectory.trajectory import Trajectory, encode
 from perfbound.workers.systems.test_function import TestFunctionSystem
 from tests.fakes import plain_function
 from tests.fakes.inmemory import Faults, campaign, hurry

@@ -15,11 +15,11 @@ from perfbound.orchestrator.mathematics.bounds.share import clopper_pearson_uppe
 from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import read
-from perfbound.schemas.campaign import CampaignConfig
-from perfbound.schemas.campaign_file import parse_campaign
-from perfbound.schemas.certificate import Certificate, CertificateClaim
 from perfbound.schemas.errors import CampaignError
-from perfbound.schemas.facts import ProposalFact, RolloutFact
+from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.file.reader import parse_campaign
+from perfbound.schemas.result.certificate import Certificate, CertificateClaim
+from perfbound.schemas.result.facts import ProposalFact, RolloutFact
 from perfbound.schemas.rollout import RolloutRequest
 from tests.fakes.simulators import certificates, noise, robustness, simulate, spec, verified
 

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from perfbound.orchestrator.campaign.seeds import first_node, rollout_seed
-from perfbound.schemas.facts import Header
 from perfbound.schemas.ids import RolloutId
+from perfbound.schemas.result.facts import Header
 from perfbound.workers.systems import load_system
 from tests.campaigns import config
 

@@ -14,10 +14,10 @@ from perfbound.orchestrator.certificate.text import print_certificate
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.robustness import read_values, read_violations
-from perfbound.schemas.campaign import CampaignConfig
-from perfbound.schemas.certificate import Certificate, Shrunk
 from perfbound.schemas.errors import CampaignError
-from perfbound.schemas.facts import RolloutFact
+from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.result.certificate import Certificate, Shrunk
+from perfbound.schemas.result.facts import RolloutFact
 from perfbound.schemas.rollout import RolloutRequest
 from tests.fakes.simulators import noise, robustness, simulate, spec, verified
 

@@ -18,9 +18,9 @@ from perfbound.orchestrator.mathematics.gp import points as lists
 from perfbound.orchestrator.mathematics.gp.kernels import Matern
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice
 from perfbound.orchestrator.mathematics.gp.points import Points
-from perfbound.schemas.campaign import CampaignConfig
-from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import CampaignError
+from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.file.reader import parse_campaign
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.system import Column, Parameter, SystemSpec
 from tests.fakes.simulators import predicate, robustness, simulate, spec, verified

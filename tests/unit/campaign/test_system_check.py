@@ -22,10 +22,10 @@ from perfbound.orchestrator.campaign.system_check.trials import (
     own_horizon,
 )
 from perfbound.schemas.errors import SimulationError
-from perfbound.schemas.space import Range, Scenarios
+from perfbound.schemas.file.space import Range, Scenarios
 from perfbound.schemas.system import Column, Parameter, SystemSpec
 from perfbound.schemas.system_check import ChildRun, Measured, SampleTimes, Trial
-from perfbound.schemas.trajectory import Trajectory
+from perfbound.schemas.trajectory.trajectory import Trajectory
 from perfbound.workers.systems.function import as_trajectory
 
 SPEC = SystemSpec(

@@ -19,10 +19,10 @@ from perfbound.orchestrator.report.wording import worded
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.rows import DATABASE
-from perfbound.schemas.campaign import CampaignConfig
-from perfbound.schemas.certificate import Certificate
 from perfbound.schemas.errors import SimulationError
+from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.ids import RolloutId
+from perfbound.schemas.result.certificate import Certificate
 from perfbound.schemas.rollout import RolloutRequest
 from tests.fakes.simulators import Crashed, Function, Stop, noise, predicate, robustness, simulate, statuses, verified
 

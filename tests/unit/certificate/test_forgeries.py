@@ -21,8 +21,8 @@ from perfbound.orchestrator.certificate import files, keys, sentences, sign
 from perfbound.orchestrator.certificate.verify.run import verify_certificate
 from perfbound.orchestrator.store.attempt_record import table_digests
 from perfbound.orchestrator.store.rows import DATABASE
-from perfbound.schemas.certificate import Certificate
-from perfbound.schemas.trajectory import Trajectory, encode, read_mcap
+from perfbound.schemas.result.certificate import Certificate
+from perfbound.schemas.trajectory.trajectory import Trajectory, encode, read_mcap
 from tests.tampering import editing
 
 TESTS = 6

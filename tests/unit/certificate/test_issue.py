@@ -12,10 +12,10 @@ from perfbound.orchestrator.campaign.plan import plan
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.issue import issue, manifest
 from perfbound.orchestrator.certificate.verify.rerun import MemoryFactStore
-from perfbound.schemas.certificate import PREDICATE_TYPE, STATEMENT_TYPE, Certificate
 from perfbound.schemas.errors import EvidenceError
-from perfbound.schemas.facts import BoundFact, Header
-from perfbound.schemas.problem_models import PaperProblem
+from perfbound.schemas.file.problem_models import PaperProblem
+from perfbound.schemas.result.certificate import PREDICATE_TYPE, STATEMENT_TYPE, Certificate
+from perfbound.schemas.result.facts import BoundFact, Header
 from perfbound.schemas.system import Column, Parameter, SystemSpec
 from perfbound.schemas.values import Bound, Proposal
 from tests.campaigns import config

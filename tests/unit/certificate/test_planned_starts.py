@@ -19,7 +19,7 @@ from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store.files import relative_path
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.rollout import RolloutRequest
-from perfbound.schemas.trajectory import read_mcap
+from perfbound.schemas.trajectory.trajectory import read_mcap
 from tests.fakes.simulators import noise, robustness, simulate
 
 TESTS, REPLICATES, RESOLUTION = 18, 4, 9

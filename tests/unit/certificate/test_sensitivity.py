@@ -18,9 +18,9 @@ from perfbound.orchestrator.certificate.sensitivity import VARIATIONS
 from perfbound.orchestrator.certificate.text import notes
 from perfbound.orchestrator.certificate.verify.checks import Checks
 from perfbound.orchestrator.certificate.verify.run import verify_certificate
-from perfbound.schemas.campaign import CampaignConfig
-from perfbound.schemas.certificate import CampaignId, Certificate, CertificateClaim, Evidence, Predicate
-from perfbound.schemas.problem_models import RigorousProblem
+from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.file.problem_models import RigorousProblem
+from perfbound.schemas.result.certificate import CampaignId, Certificate, CertificateClaim, Evidence, Predicate
 from tests.campaigns import table
 from tests.fakes.finished import a_list, a_pair, finish, play
 

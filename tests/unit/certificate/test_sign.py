@@ -25,9 +25,19 @@ from perfbound.orchestrator.certificate.key_folder import key_folder
 from perfbound.orchestrator.certificate.keys import key_id, load_private, load_public, new_pair
 from perfbound.orchestrator.cli import signing
 from perfbound.orchestrator.cli.group import cli
-from perfbound.schemas.certificate import CampaignId, Certificate, CertificateClaim, Evidence, Predicate, Subject
-from perfbound.schemas.envelope import MAX_SIGNATURES, PAYLOAD_TYPE, DsseEnvelope, Signature
 from perfbound.schemas.errors import EvidenceError, PerfboundError, SignatureError
+from perfbound.schemas.result.certificate import (
+    MAX_SIGNATURES,
+    PAYLOAD_TYPE,
+    CampaignId,
+    Certificate,
+    CertificateClaim,
+    DsseEnvelope,
+    Evidence,
+    Predicate,
+    Signature,
+    Subject,
+)
 from tests.campaigns import FOLDER
 
 KEY = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))

@@ -12,7 +12,7 @@ from perfbound.orchestrator.cli.result import print_files
 from perfbound.orchestrator.report.claim_data import assumption_row
 from perfbound.orchestrator.report.wording import claim_sentence
 from perfbound.orchestrator.run.progress import Plain
-from perfbound.schemas.certificate import (
+from perfbound.schemas.result.certificate import (
     Assumption,
     CampaignId,
     Certificate,

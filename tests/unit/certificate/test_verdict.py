@@ -13,8 +13,8 @@ from perfbound.orchestrator.run.extend import extend_campaign
 from perfbound.orchestrator.run.verdict import verdict_lines, verdict_of, violation_words
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.read import stored_header
+from perfbound.schemas.result.verdict import CampaignVerdict
 from perfbound.schemas.rollout import RolloutRequest
-from perfbound.schemas.verdict import CampaignVerdict
 from tests.fakes.simulators import Function, noise, robustness, simulate, spec
 
 RIGOROUS = {"method": "rigorous", "alpha": 0.1, "rkhs_norm": 2.0, "noise_scale": 0.0, "kernel": {"length_scale": 0.7}}

@@ -32,13 +32,13 @@ from perfbound.orchestrator.store.read import observed, read_header, reading
 from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.orchestrator.store.untrusted import UntrustedFacts, read_untrusted
 from perfbound.schemas.base import canonical_json
-from perfbound.schemas.campaign import CampaignConfig
-from perfbound.schemas.certificate import Certificate
 from perfbound.schemas.errors import PerfboundError, Stopped
-from perfbound.schemas.facts import DiscardFact, ExtensionFact, Fact, RolloutFact
+from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.ids import RolloutId
+from perfbound.schemas.result.certificate import Certificate
+from perfbound.schemas.result.facts import DiscardFact, ExtensionFact, Fact, RolloutFact
 from perfbound.schemas.system import SystemSpec
-from perfbound.schemas.trajectory import Trajectory, encode, read_mcap
+from perfbound.schemas.trajectory.trajectory import Trajectory, encode, read_mcap
 from tests.campaigns import table
 from tests.fakes.puppets import Stage
 from tests.tampering import editing

@@ -20,9 +20,9 @@ from perfbound.orchestrator.fleet.simulate import column_lines
 from perfbound.orchestrator.report.replay.comparison import Deviation, Difference, lines
 from perfbound.orchestrator.run.system_check import SystemCheck, print_findings
 from perfbound.orchestrator.run.table import progress_table
-from perfbound.schemas.certificate import Assumption
+from perfbound.schemas.result.certificate import Assumption
 from perfbound.schemas.system import Column, Parameter, SystemSpec
-from perfbound.schemas.trajectory import Trajectory
+from perfbound.schemas.trajectory.trajectory import Trajectory
 from perfbound.schemas.values import Bound, ProblemProgress
 from tests.campaigns import config
 

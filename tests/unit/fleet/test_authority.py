@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from perfbound.orchestrator.fleet import authority
 from perfbound.orchestrator.fleet.authority import Order, check_apart, checked_order
-from perfbound.schemas import keys
-from perfbound.schemas.access import access_rules
-from perfbound.schemas.certificates import Role, role_of
 from perfbound.schemas.errors import AuthorityError, LinkError
+from perfbound.schemas.link import key_expressions
+from perfbound.schemas.link.access import access_rules
+from perfbound.schemas.link.tls_files import Role, role_of
 from tests.fakes.certificates import now
 
 TEXTS = st.text("abz019-._A/$* \n'\"", max_size=70) | st.from_regex(authority.HOST, fullmatch=True)
@@ -85,8 +85,8 @@ def test_every_name_of_a_worker_can_be_allowed(name: str) -> None:
         checked_order(name, "worker", [])
     except AuthorityError:
         return
-    assert keys.NAME.fullmatch(name)
-    assert keys.PROCESS.fullmatch(keys.fresh_id(name))
+    assert key_expressions.NAME.fullmatch(name)
+    assert key_expressions.PROCESS.fullmatch(key_expressions.fresh_id(name))
     assert access_rules([name], "main")
     assert Path(name).name == name, "it names files"
 

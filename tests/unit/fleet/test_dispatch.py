@@ -50,8 +50,8 @@ from perfbound.orchestrator.fleet.leaving import OFTEN
 from perfbound.orchestrator.fleet.limits import Limits
 from perfbound.orchestrator.fleet.state import DispatchState
 from perfbound.schemas.failure import Failure
-from perfbound.schemas.heartbeats import heartbeat_interval
 from perfbound.schemas.ids import Attempt, RolloutId
+from perfbound.schemas.link.messages import heartbeat_interval
 from tests.fakes.invariants import check_invariants
 
 LIMITS = Limits(resend_after=1.5, lost_after=3.0, hung_after=10.0, deadline=60.0, max_attempts=3)

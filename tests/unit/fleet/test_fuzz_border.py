@@ -19,10 +19,11 @@ from perfbound.orchestrator.campaign.admission import admit
 from perfbound.orchestrator.fleet import transport
 from perfbound.orchestrator.fleet.inbox import Budget
 from perfbound.orchestrator.fleet.transport import Garbage, Inbound, Linked, RouterToken
-from perfbound.schemas import keys
 from perfbound.schemas.errors import LONGEST_EXCERPT, EvidenceError, MessageError, TrajectoryError
 from perfbound.schemas.ids import RolloutId
-from perfbound.schemas.messages import (
+from perfbound.schemas.link import key_expressions
+from perfbound.schemas.link.ends import OrchestratorEnd
+from perfbound.schemas.link.messages import (
     PROTOCOL,
     Ack,
     Assign,
@@ -33,10 +34,9 @@ from perfbound.schemas.messages import (
     decode_state,
     encode_message,
 )
+from perfbound.schemas.link.seal import Sealer, Stream, StreamName
 from perfbound.schemas.rollout import RequestTemplate
-from perfbound.schemas.seal import Sealer, Stream, StreamName
-from perfbound.schemas.sealed import OrchestratorEnd
-from perfbound.schemas.trajectory import read_mcap
+from perfbound.schemas.trajectory.trajectory import read_mcap
 from perfbound.workers.simulate import run_request
 from perfbound.workers.systems import load_system
 from tests.fuzz.amount import CHOSEN, inputs
@@ -145,9 +145,9 @@ class Sample:
 def test_readers_of_the_link() -> None:
     budget, end = Budget(), OrchestratorEnd(None, "r")
     readers: dict[str, tuple[StreamName, transport.Read]] = {
-        keys.state_key("r", "w"): ("state", transport._heartbeat),
-        keys.result_key("r", "w", NAME, 1): ("result", partial(transport._result, budget)),
-        keys.live_worker("r", "w"): ("state", transport._token),
+        key_expressions.state_key("r", "w"): ("state", transport._heartbeat),
+        key_expressions.result_key("r", "w", NAME, 1): ("result", partial(transport._result, budget)),
+        key_expressions.live_worker("r", "w"): ("state", transport._token),
     }
     for key, (stream, read) in readers.items():
         received: list[Inbound] = []

@@ -12,7 +12,7 @@ from perfbound.orchestrator.fleet import inbox as module
 from perfbound.orchestrator.fleet.inbox import Budget, Inbox
 from perfbound.orchestrator.fleet.transport import Garbage, Heartbeat, Inbound, Result, Token
 from perfbound.schemas.errors import MessageError
-from perfbound.schemas.messages import PROTOCOL, ResultHeader, WorkerState
+from perfbound.schemas.link.messages import PROTOCOL, ResultHeader, WorkerState
 from tests.fakes.interleaving import meanwhile
 
 HEADER = ResultHeader(rollout="maximum.0.true.0", attempt=1, worker="w", outcome="done", sha256="a" * 64)

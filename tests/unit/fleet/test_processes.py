@@ -9,9 +9,9 @@ import pytest
 
 from perfbound.orchestrator.fleet import processes
 from perfbound.orchestrator.fleet.processes import FAST_DEATHS, Fleet
-from perfbound.schemas import keys
 from perfbound.schemas.errors import PerfboundError
-from perfbound.schemas.secret import VARIABLE
+from perfbound.schemas.link import key_expressions
+from perfbound.schemas.link.secret import VARIABLE
 
 pytestmark = pytest.mark.integration
 
@@ -22,7 +22,7 @@ def fleet(monkeypatch: pytest.MonkeyPatch) -> Iterator[Fleet]:
 
     def spawn(found: Fleet) -> None:
         child = subprocess.Popen(["sleep", "1000"])
-        found._children.append(processes._Child(keys.fresh_id("local"), child, time.monotonic()))
+        found._children.append(processes._Child(key_expressions.fresh_id("local"), child, time.monotonic()))
 
     monkeypatch.setattr(Fleet, "_spawn", spawn)
     found = Fleet(1, ["tcp/127.0.0.1:1"], "run")

@@ -13,8 +13,8 @@ from perfbound.orchestrator.fleet.sender import Sender, within_patience
 from perfbound.orchestrator.fleet.transport import ZenohTransport
 from perfbound.orchestrator.report.web import server
 from perfbound.orchestrator.run import live_page
-from perfbound.schemas.messages import Ack, Request
-from perfbound.schemas.sealed import OrchestratorEnd
+from perfbound.schemas.link.ends import OrchestratorEnd
+from perfbound.schemas.link.messages import Ack, Request
 from tests.patience import PATIENCE
 
 ACKS = [Ack(rollout="maximum.0.true.0", attempt=number) for number in range(1, 101)]

@@ -12,8 +12,8 @@ from perfbound.orchestrator.cli import entry  # noqa: F401  (it adds the command
 from perfbound.orchestrator.cli.group import cli
 from perfbound.orchestrator.run.format import resume_command
 from perfbound.orchestrator.store.lock import campaign_lock
-from perfbound.schemas.campaign_file import load_campaign
 from perfbound.schemas.errors import PerfboundError
+from perfbound.schemas.file.reader import load_campaign
 from tests.architecture import source
 
 COMMAND = re.compile(rf"perfbound(?:-worker| (?:{'|'.join(cli.commands)})) [^`;:]*$")

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 import perfbound as pb
 from perfbound.library.given import given_system
 from perfbound.library.toml import toml
-from perfbound.schemas.campaign_file import load_campaign, parse_campaign
 from perfbound.schemas.errors import CampaignError, DefinitionError, PerfboundError
-from perfbound.schemas.trajectory import Trajectory
+from perfbound.schemas.file.reader import load_campaign, parse_campaign
+from perfbound.schemas.trajectory.trajectory import Trajectory
 from perfbound.workers.systems.test_function import TestFunctionSystem
 from tests.campaigns import FOLDER
 from tests.patience import PATIENCE

@@ -12,7 +12,7 @@ import pytest
 import perfbound as pb
 from perfbound.library.study import Study, TrialRequest
 from perfbound.schemas.errors import CampaignError, DefinitionError, PerfboundError
-from perfbound.schemas.trajectory import encode
+from perfbound.schemas.trajectory.trajectory import encode
 from tests.patience import PATIENCE
 from tests.tampering import editing
 

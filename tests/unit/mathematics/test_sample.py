@@ -11,7 +11,7 @@ from perfbound.orchestrator.mathematics.bounds.failures import beta_mixture_uppe
 from perfbound.orchestrator.mathematics.bounds.predictable import CvarSequence, RiskSequence
 from perfbound.orchestrator.mathematics.bounds.sample import ESTIMATES, SampleMethod, Terms
 from perfbound.orchestrator.mathematics.bounds.share import clopper_pearson_lower, clopper_pearson_upper, quantile_rank
-from perfbound.schemas.claims import SAMPLED
+from perfbound.schemas.file.drawn_claims import SAMPLED
 from perfbound.schemas.values import Bound, Observation, SampledQuantity
 
 CLIP = (-1.0, 1.0)

@@ -27,11 +27,11 @@ from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.changes import AttemptOutcome, ChangeReader, Changes, Session
 from perfbound.orchestrator.store.export_tables import unit
 from perfbound.orchestrator.store.lock import campaign_lock
-from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.errors import JournalError, PerfboundError
-from perfbound.schemas.facts import Header, ObservationFact, ProposalFact, RolloutFact
+from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.file.space import Range, Scenarios
 from perfbound.schemas.ids import RolloutId
-from perfbound.schemas.space import Range, Scenarios
+from perfbound.schemas.result.facts import Header, ObservationFact, ProposalFact, RolloutFact
 from perfbound.schemas.system import SystemSpec
 from perfbound.schemas.values import Band, Proposal
 from perfbound.workers.systems import load_system

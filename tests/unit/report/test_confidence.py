@@ -3,8 +3,15 @@
 from typing import Any
 
 from perfbound.orchestrator.report.confidence import anyway, confidence_sentences
-from perfbound.schemas.certificate import Assumption, CertificateClaim, MostStarts, Rollouts, Sensitivity, SpotCheck
-from perfbound.schemas.verdict import ByRollouts, CampaignVerdict, VerdictWord, Violations
+from perfbound.schemas.result.certificate import (
+    Assumption,
+    CertificateClaim,
+    MostStarts,
+    Rollouts,
+    Sensitivity,
+    SpotCheck,
+)
+from perfbound.schemas.result.verdict import ByRollouts, CampaignVerdict, VerdictWord, Violations
 from tests.unit.certificate.test_text import a_certificate
 
 NONE = Violations(rollouts=3, violations=0, starts=3, violating_starts=0, least=1.0, rollout="a")

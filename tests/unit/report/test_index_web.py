@@ -19,7 +19,7 @@ from perfbound.orchestrator.report.web.index_cache import IndexCache
 from perfbound.orchestrator.report.web.open_campaigns import OpenCampaigns
 from perfbound.orchestrator.run.address import Address
 from perfbound.orchestrator.run.campaign_index import CampaignIndex
-from perfbound.schemas.campaign_file import parse_campaign
+from perfbound.schemas.file.reader import parse_campaign
 from tests.campaigns import FOLDER, UNCHECKED
 from tests.fakes.inmemory import campaign
 from tests.unit.report.test_web import Answer, scope, until

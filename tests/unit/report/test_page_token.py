@@ -20,7 +20,7 @@ from perfbound.orchestrator.report.web.snapshots import SnapshotCache
 from perfbound.orchestrator.run.address import Address
 from perfbound.orchestrator.run.campaign_index import CampaignIndex
 from perfbound.orchestrator.run.page_access import PageAccess, PageTls
-from perfbound.schemas.campaign_file import parse_campaign
+from perfbound.schemas.file.reader import parse_campaign
 from tests.campaigns import FOLDER, UNCHECKED
 from tests.fakes.inmemory import campaign
 from tests.unit.report.test_web import HOST, RECORDED, Answer, Client

@@ -19,7 +19,10 @@ from perfbound.orchestrator.report.paper.figures import Decay
 from perfbound.orchestrator.store import read as queries
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.read import ObservedTest
-from perfbound.schemas.certificate import (
+from perfbound.schemas.errors import CampaignError, PerfboundError
+from perfbound.schemas.file.composition import Rule
+from perfbound.schemas.file.objectives import ProblemName
+from perfbound.schemas.result.certificate import (
     CampaignId,
     CertificateClaim,
     CompositionTerms,
@@ -28,10 +31,7 @@ from perfbound.schemas.certificate import (
     ProblemResult,
     Rollouts,
 )
-from perfbound.schemas.composition import Rule
-from perfbound.schemas.errors import CampaignError, PerfboundError
-from perfbound.schemas.facts import BoundFact, Header, ObservationFact, ProposalFact
-from perfbound.schemas.problems import ProblemName
+from perfbound.schemas.result.facts import BoundFact, Header, ObservationFact, ProposalFact
 from perfbound.schemas.values import Bound, Observation, Proposal, StoppedBy
 from perfbound.workers.systems.test_function import TestFunctionSystem
 from tests import campaigns

@@ -4,9 +4,9 @@ from perfbound.orchestrator.report.claim_data import assumption_row
 from perfbound.orchestrator.report.provenance import MOST_NAMED, provenance
 from perfbound.orchestrator.report.question import question_words
 from perfbound.orchestrator.store.changes import Session
-from perfbound.schemas.campaign_text import campaign_text
-from perfbound.schemas.certificate import Assumption
-from perfbound.schemas.facts import Header
+from perfbound.schemas.file.toml_text import campaign_text
+from perfbound.schemas.result.certificate import Assumption
+from perfbound.schemas.result.facts import Header
 from perfbound.workers.systems import load_system
 from tests.campaigns import config
 

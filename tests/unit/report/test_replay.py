@@ -19,10 +19,10 @@ from perfbound.orchestrator.report.replay.load import load_recorded
 from perfbound.orchestrator.store import files
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.schemas.errors import EvidenceError, JournalError, PerfboundError
-from perfbound.schemas.facts import Header
 from perfbound.schemas.ids import RolloutId
+from perfbound.schemas.result.facts import Header
 from perfbound.schemas.rollout import RolloutRequest
-from perfbound.schemas.trajectory import Trajectory, decode, encode, read_mcap
+from perfbound.schemas.trajectory.trajectory import Trajectory, decode, encode, read_mcap
 from perfbound.workers.simulate import run_request
 from perfbound.workers.systems import load_system
 from tests import campaigns

@@ -6,7 +6,7 @@ import pytest
 from perfbound.orchestrator.mathematics.stl.parser import parse_formula
 from perfbound.orchestrator.mathematics.stl.robustness import robustness
 from perfbound.orchestrator.report.replay.replay import margins
-from perfbound.schemas.trajectory import Trajectory
+from perfbound.schemas.trajectory.trajectory import Trajectory
 
 
 def swinging(samples: int = 601) -> Trajectory:

@@ -12,10 +12,10 @@ from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.report.data import ReportData
 from perfbound.orchestrator.report.rollout_data import Curve, DrawnRollout, RolloutsOfTest
 from perfbound.orchestrator.store.export import table_rows
-from perfbound.schemas.facts import RolloutFact
 from perfbound.schemas.ids import RolloutId
+from perfbound.schemas.result.facts import RolloutFact
 from perfbound.schemas.system import AfterEnd
-from perfbound.schemas.trajectory import Trajectory
+from perfbound.schemas.trajectory.trajectory import Trajectory
 from tests.fakes.finished import a_list, a_pair, finish, play
 
 CONFIGS = {"gap": a_pair("rigorous"), "list": a_list()}

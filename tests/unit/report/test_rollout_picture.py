@@ -10,7 +10,7 @@ from perfbound.orchestrator.report.rollout_picture import MOST, drawn_rollout
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.rollout import RequestTemplate
 from perfbound.schemas.system import Column, Parameter, SystemSpec
-from perfbound.schemas.trajectory import Trajectory
+from perfbound.schemas.trajectory.trajectory import Trajectory
 
 
 def picture(columns: int, samples: int = 50, unit: str = "m/s", parameters: int = 2) -> Image.Image:

@@ -15,7 +15,7 @@ from perfbound.orchestrator.report.web import server as server_module
 from perfbound.orchestrator.report.web.server import Server
 from perfbound.orchestrator.run.address import Address
 from perfbound.orchestrator.run.page_access import OPEN, PageAccess, PagePlace, opened
-from perfbound.schemas.campaign_file import parse_campaign
+from perfbound.schemas.file.reader import parse_campaign
 from tests.campaigns import FOLDER, UNCHECKED
 from tests.end_to_end.processes import wait_for
 from tests.fakes.inmemory import campaign

@@ -27,8 +27,8 @@ from perfbound.orchestrator.run.feed import LiveState, RunFigures
 from perfbound.orchestrator.run.router_link import RouterLink
 from perfbound.orchestrator.store.commit_times import CommitTimes
 from perfbound.orchestrator.store.rows import DATABASE
-from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import JournalError
+from perfbound.schemas.file.reader import parse_campaign
 from tests.campaigns import FOLDER, UNCHECKED
 from tests.fakes.inmemory import campaign
 

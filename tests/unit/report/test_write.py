@@ -23,9 +23,9 @@ from perfbound.orchestrator.report.data import Axis, ReportData, Surface, to_jso
 from perfbound.orchestrator.report.figures import figures
 from perfbound.orchestrator.report.rollout_data import Rollout
 from perfbound.orchestrator.store.rows import DATABASE
-from perfbound.schemas.facts import Header
+from perfbound.schemas.result.facts import Header
 from perfbound.schemas.system import SystemSpec
-from perfbound.schemas.trajectory import Trajectory
+from perfbound.schemas.trajectory.trajectory import Trajectory
 from perfbound.workers.systems import load_system
 from tests.end_to_end import example_reports
 from tests.fakes.finished import a_list, a_pair, contents, finish, insert, play

@@ -6,8 +6,8 @@ import pytest
 
 from perfbound.orchestrator.run.assignments import KEY, Assignments, forget
 from perfbound.schemas.ids import Attempt, RolloutId
-from perfbound.schemas.messages import ResultHeader
-from perfbound.schemas.seal import result_proof
+from perfbound.schemas.link.messages import ResultHeader
+from perfbound.schemas.link.seal import result_proof
 
 ATTEMPT = Attempt(RolloutId("maximum", 0, "true", 0), 1)
 

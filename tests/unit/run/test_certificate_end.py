@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from perfbound.orchestrator.run.certificate_end import end_announced
-from perfbound.schemas.certificates import read_certificates
+from perfbound.schemas.link.tls_files import read_certificates
 from tests.fakes.certificates import DAY, Site, now
 from tests.patience import PATIENCE
 

@@ -23,9 +23,9 @@ from perfbound.orchestrator.run.session import RunOptions
 from perfbound.orchestrator.store.journal import INSTALLED, Journal, Origin
 from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas.errors import LinkError, PerfboundError
-from perfbound.schemas.facts import Header
-from perfbound.schemas.link import LOCAL, Tls
-from perfbound.schemas.secret import VARIABLE
+from perfbound.schemas.link.configuration import LOCAL, Tls
+from perfbound.schemas.link.secret import VARIABLE
+from perfbound.schemas.result.facts import Header
 from perfbound.workers.systems import load_system
 from tests import campaigns
 

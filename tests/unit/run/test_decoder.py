@@ -16,10 +16,10 @@ from perfbound.orchestrator.run.results import Results
 from perfbound.orchestrator.run.review import Review
 from perfbound.schemas.errors import EvidenceError
 from perfbound.schemas.failure import Failure
-from perfbound.schemas.messages import ResultHeader
+from perfbound.schemas.link.messages import ResultHeader
 from perfbound.schemas.ranges import MAX_FILE_BYTES
 from perfbound.schemas.rollout import RolloutRequest
-from perfbound.schemas.trajectory import Trajectory
+from perfbound.schemas.trajectory.trajectory import Trajectory
 from perfbound.workers.simulate import run_request
 from perfbound.workers.systems import load_system
 from tests.fakes.inmemory import campaign

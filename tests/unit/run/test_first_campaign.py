@@ -8,8 +8,8 @@ import pytest
 
 from perfbound.orchestrator.run import first_campaign
 from perfbound.orchestrator.run.first_campaign import Wish, write_first_campaign
-from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import PerfboundError
+from perfbound.schemas.file.reader import parse_campaign
 
 pytestmark = pytest.mark.integration
 

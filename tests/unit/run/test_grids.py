@@ -5,7 +5,7 @@ import numpy as np
 from perfbound.orchestrator.run import grids
 from perfbound.orchestrator.run.grids import Grids
 from perfbound.schemas.ids import RolloutId
-from perfbound.schemas.trajectory import Trajectory
+from perfbound.schemas.trajectory.trajectory import Trajectory
 
 
 def rollout(test: int) -> RolloutId:

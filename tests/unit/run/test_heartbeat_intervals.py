@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from perfbound.orchestrator.store.rows import DATABASE
-from perfbound.schemas import heartbeats
-from perfbound.schemas.messages import HeartbeatInterval, Request, ResultHeader, WorkerState
+from perfbound.schemas.link import messages
+from perfbound.schemas.link.messages import HeartbeatInterval, Request, ResultHeader, WorkerState
 from perfbound.workers.transport import Receiver
 from tests.fakes.inmemory import InMemoryUplink, campaign, hurry
 from tests.unit.run.test_service import a_config
@@ -22,7 +22,7 @@ CONFIG = a_config(max_tests=4, replicates=2, hung_after=HUNG_AFTER)
 def large_fleet(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two workers are as many as the longest interval needs."""
     hurry(monkeypatch, tick=0.02)
-    monkeypatch.setattr(heartbeats, "MOST", 1)
+    monkeypatch.setattr(messages, "MOST", 1)
 
 
 class Watched:
@@ -78,7 +78,7 @@ def test_the_fleet_is_told_and_the_certificate_is_that_of_any_other(
     expected = campaign(tmp_path / "run", CONFIG, workers=0, wraps=[watched, former])
     assert set(watched.intervals) == set(former.intervals) == {1.0}
     assert failures(tmp_path / "run") == []
-    monkeypatch.setattr(heartbeats, "MOST", 250)
+    monkeypatch.setattr(messages, "MOST", 250)
     small = Watched()
     assert campaign(tmp_path / "small", CONFIG, workers=0, wraps=[small]) == expected
     assert small.intervals == []

@@ -23,11 +23,13 @@ from perfbound.orchestrator.run import assignments, roster, service
 from perfbound.orchestrator.run.service import Service
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.rows import DATABASE
-from perfbound.schemas import __version__, keys
-from perfbound.schemas.campaign import CampaignConfig
-from perfbound.schemas.campaign_file import parse_campaign
+from perfbound.schemas import __version__
 from perfbound.schemas.errors import Stopped
-from perfbound.schemas.messages import (
+from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.file.reader import parse_campaign
+from perfbound.schemas.link import key_expressions
+from perfbound.schemas.link.ends import SEAL, SHOWN, OrchestratorEnd, Packet, WorkerEnd
+from perfbound.schemas.link.messages import (
     PROTOCOL,
     Ack,
     Assign,
@@ -41,7 +43,6 @@ from perfbound.schemas.messages import (
     encode_message,
 )
 from perfbound.schemas.platforms import platform_class
-from perfbound.schemas.sealed import SEAL, SHOWN, OrchestratorEnd, Packet, WorkerEnd
 from perfbound.schemas.stop_signals import END_FAMILY
 from perfbound.workers.systems import load_system
 from tests.campaigns import UNCHECKED
@@ -155,7 +156,7 @@ def results(packet: Packet) -> Iterable[Packet]:
     )
     digest = hashlib.sha256(b"forged").hexdigest()
     done = ResultHeader(rollout=rollout, attempt=attempt, worker=worker, outcome="done", sha256=digest, proof="0" * 64)
-    key = keys.result_key(run, worker, rollout, attempt)
+    key = key_expressions.result_key(run, worker, rollout, attempt)
     for header in (failed, done):
         for seal in (*ALL, packet.attachment):
             yield Packet(key, b"forged", seal + encode_message(header))
@@ -166,7 +167,7 @@ def results(packet: Packet) -> Iterable[Packet]:
 def states(packet: Packet) -> Iterable[Packet]:
     """In the name of the worker that reports: another version, another attempt, the process id of this process."""
     _, run, kind, worker, *_ = packet.key.split("/")
-    if kind != "up" or keys.last(packet.key) != "state":
+    if kind != "up" or key_expressions.last(packet.key) != "state":
         return
     said = json.loads(packet.payload)
     changes: list[dict[str, Any]] = [
@@ -186,7 +187,7 @@ def states(packet: Packet) -> Iterable[Packet]:
 
 def sealed_by_a_stranger(run: str, worker: str) -> WorkerEnd:
     end = WorkerEnd(STRANGER)
-    end.appear(keys.live_orchestrator(run, OrchestratorEnd(STRANGER, run).name))
+    end.appear(key_expressions.live_orchestrator(run, OrchestratorEnd(STRANGER, run).name))
     end.join(run, worker)
     return end
 
@@ -196,14 +197,14 @@ def echoes(packet: Packet) -> Iterable[Packet]:
     _, run, kind, worker, *_ = packet.key.split("/")
     yield packet
     yield packet._replace(key=packet.key.replace(worker, f"{worker}0"))
-    if kind == "up" and keys.last(packet.key) != "state":
+    if kind == "up" and key_expressions.last(packet.key) != "state":
         header = decode_header(packet.attachment[SEAL:])
         changed = header.model_copy(update={"attempt": header.attempt + 1})
         yield packet._replace(attachment=packet.attachment[:SEAL] + encode_message(changed))
         yield packet._replace(payload=packet.payload + b"x")
-        yield packet._replace(key=keys.state_key(run, worker))
+        yield packet._replace(key=key_expressions.state_key(run, worker))
     if kind == "request":
-        yield packet._replace(key=keys.state_key(run, worker))
+        yield packet._replace(key=key_expressions.state_key(run, worker))
 
 
 @pytest.mark.parametrize("forge", [requests, results, states, echoes])
@@ -217,12 +218,12 @@ def test_tokens_of_a_peer_change_nothing(tmp_path: Path, calm: str) -> None:
     """It announces workers, and orchestrators of this run and of others that are older than the true one."""
 
     def tokens(packet: Packet) -> Iterable[Packet]:
-        for run in (keys.run_of(packet.key), "0" * 16):
+        for run in (key_expressions.run_of(packet.key), "0" * 16):
             for secret in (STRANGER, b""):
-                key = keys.live_orchestrator(run, "0" + OrchestratorEnd(secret, run).name[1:])
+                key = key_expressions.live_orchestrator(run, "0" + OrchestratorEnd(secret, run).name[1:])
                 network.tell(partial(network.announce, key, alive=True))
         for transport in network.transports.values():
-            network.tell(partial(transport.hear, keys.fresh_id("ghost"), alive=True))
+            network.tell(partial(transport.hear, key_expressions.fresh_id("ghost"), alive=True))
         return requests(packet)
 
     network = Tapped(tokens)

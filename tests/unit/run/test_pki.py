@@ -21,9 +21,9 @@ from perfbound.orchestrator.cli.group import cli
 from perfbound.orchestrator.fleet.authority import Order, certificate_bytes, key_bytes, new_authority
 from perfbound.orchestrator.run.pki import issue_files, issued, load_signer, pki_folder
 from perfbound.schemas import atomic
-from perfbound.schemas.certificates import check_host, check_link_files
 from perfbound.schemas.errors import AuthorityError, PerfboundError
-from perfbound.schemas.secret import user_secret
+from perfbound.schemas.link.secret import user_secret
+from perfbound.schemas.link.tls_files import check_host, check_link_files
 from tests.fakes.certificates import DAY, now
 from tests.fakes.interleaving import meanwhile
 

@@ -10,8 +10,8 @@ from perfbound.orchestrator.run.session import check_platform
 from perfbound.orchestrator.store import journal as module
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.rows import DATABASE
-from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import JournalError
+from perfbound.schemas.file.reader import parse_campaign
 from perfbound.schemas.platforms import ANY, platform_class
 from tests.campaigns import config
 from tests.fakes.inmemory import begin

@@ -8,8 +8,8 @@ import pytest
 from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.fleet import events
 from perfbound.orchestrator.run.poison import poison_text
-from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.failure import Failure
+from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.ids import Attempt, RolloutId
 from perfbound.schemas.rollout import RolloutRequest
 from tests.campaigns import config

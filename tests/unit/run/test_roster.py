@@ -7,8 +7,7 @@ from perfbound.orchestrator.fleet.transport import Heartbeat, Token
 from perfbound.orchestrator.run import roster as module
 from perfbound.orchestrator.run.roster import Roster
 from perfbound.schemas import __version__
-from perfbound.schemas.heartbeats import HEARTBEAT, MOST
-from perfbound.schemas.messages import PROTOCOL, WorkerState
+from perfbound.schemas.link.messages import HEARTBEAT, MOST, PROTOCOL, WorkerState
 from perfbound.schemas.platforms import ANY
 from perfbound.workers.systems import load_system
 

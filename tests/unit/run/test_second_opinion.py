@@ -22,13 +22,13 @@ from perfbound.orchestrator.fleet.limits import Limits
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.rows import DATABASE
-from perfbound.schemas.campaign import CampaignConfig
-from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import PerfboundError, Stopped
-from perfbound.schemas.facts import Header
+from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.file.reader import parse_campaign
 from perfbound.schemas.ids import RolloutId
-from perfbound.schemas.messages import ResultHeader
-from perfbound.schemas.trajectory import Trajectory, encode, read_mcap
+from perfbound.schemas.link.messages import ResultHeader
+from perfbound.schemas.result.facts import Header
+from perfbound.schemas.trajectory.trajectory import Trajectory, encode, read_mcap
 from perfbound.workers.systems import load_system
 from perfbound.workers.transport import Receiver
 from tests.campaigns import UNCHECKED

@@ -7,7 +7,7 @@ import numpy as np
 from perfbound.orchestrator.run.seen_margins import SeenMargins
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.system import Variant
-from perfbound.schemas.trajectory import Trajectory
+from perfbound.schemas.trajectory.trajectory import Trajectory
 from tests.fakes.simulators import robustness, spec
 
 PROBLEM = {"method": "rigorous", "alpha": 0.1, "rkhs_norm": 2.0, "noise_scale": 0.1, "kernel": {"length_scale": 0.7}}

@@ -27,14 +27,14 @@ from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas import __version__
-from perfbound.schemas.campaign import CampaignConfig
-from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import PerfboundError, SimulationError, Stopped, UnknownSystemError
-from perfbound.schemas.messages import MAX_RESULT, PROTOCOL, Assign, Cancel, Request, ResultHeader, WorkerState
+from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.file.reader import parse_campaign
+from perfbound.schemas.link.messages import MAX_RESULT, PROTOCOL, Assign, Cancel, Request, ResultHeader, WorkerState
+from perfbound.schemas.link.seal import result_proof
 from perfbound.schemas.platforms import platform_class
 from perfbound.schemas.rollout import RolloutRequest
-from perfbound.schemas.seal import result_proof
-from perfbound.schemas.trajectory import Trajectory, encode, read_mcap
+from perfbound.schemas.trajectory.trajectory import Trajectory, encode, read_mcap
 from perfbound.workers import worker as module
 from perfbound.workers.simulate import requested_system, run_request, run_request_on
 from perfbound.workers.systems import load_system

@@ -16,9 +16,9 @@ from perfbound.orchestrator.run.progress import worker_line
 from perfbound.orchestrator.run.service import RunStatus
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.progress import read_progress
-from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import PerfboundError
-from perfbound.schemas.messages import ResultHeader, WorkerState
+from perfbound.schemas.file.reader import parse_campaign
+from perfbound.schemas.link.messages import ResultHeader, WorkerState
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.workers import worker as module
 from perfbound.workers.systems.base import Progress, SystemUnderTest

@@ -30,12 +30,12 @@ from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.lock import campaign_lock
 from perfbound.orchestrator.store.so_far import NAME, read_so_far, remove_so_far, write_so_far
-from perfbound.schemas.campaign import CampaignConfig
-from perfbound.schemas.campaign_file import parse_campaign
-from perfbound.schemas.certificate import Assumption
+from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.file.reader import parse_campaign
 from perfbound.schemas.ids import closing_check
+from perfbound.schemas.result.certificate import Assumption
+from perfbound.schemas.result.so_far import Expected, SoFar, Span
 from perfbound.schemas.rollout import RolloutRequest
-from perfbound.schemas.so_far import Expected, SoFar, Span
 from perfbound.schemas.values import MARKED, Bound, ProblemProgress
 from tests.campaigns import FOLDER
 from tests.fakes.simulators import noise, robustness, simulate, spec

@@ -7,8 +7,8 @@ import pytest
 
 from perfbound.orchestrator.run import system_check
 from perfbound.orchestrator.run.system_check import SystemCheck, checked_system
-from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import Stopped
+from perfbound.schemas.file.reader import parse_campaign
 from perfbound.schemas.system_check import ChildRun, Measured, Trial
 from tests.unit.campaign.test_system_check import SPEC, sound
 

@@ -8,8 +8,8 @@ import jsonschema
 import pytest
 
 from perfbound.schemas.__main__ import FOLDER, REFERENCE, texts
-from perfbound.schemas.campaign_file import parse_campaign
-from perfbound.schemas.reference import page
+from perfbound.schemas.file.reader import parse_campaign
+from perfbound.schemas.file.reference import page
 
 CAMPAIGNS = sorted((Path(__file__).parents[3] / "deploy" / "campaigns").glob("*.toml"))
 

@@ -12,9 +12,9 @@ from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.keys import load_private, new_pair
 from perfbound.orchestrator.certificate.sign import sign_certificate
 from perfbound.results import read_certificate, read_trajectory
-from perfbound.schemas.campaign_file import load_campaign
 from perfbound.schemas.errors import CampaignError, EvidenceError, LinkError, SignatureError
-from perfbound.schemas.link import connect_config, listen_config
+from perfbound.schemas.file.reader import load_campaign
+from perfbound.schemas.link.configuration import connect_config, listen_config
 from perfbound.schemas.outside import exposed, read_outside
 from tests.fakes.certificates import Site
 from tests.fakes.finished import a_list, finish, play

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from perfbound.schemas.errors import MessageError
-from perfbound.schemas.messages import (
+from perfbound.schemas.link.messages import (
     PROTOCOL,
     Ack,
     Assign,

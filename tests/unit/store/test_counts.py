@@ -21,7 +21,7 @@ from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.lock import campaign_lock
 from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas.errors import JournalError
-from perfbound.schemas.facts import ProposalFact
+from perfbound.schemas.result.facts import ProposalFact
 from perfbound.schemas.values import Proposal
 from tests.campaigns import config
 from tests.fakes.inmemory import Log, campaign

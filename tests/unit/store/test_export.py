@@ -24,9 +24,12 @@ from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import export
 from perfbound.orchestrator.store.export_tables import ExportColumn, export_table, robustness_unit, unit
 from perfbound.orchestrator.store.journal import Journal
-from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.errors import JournalError, PerfboundError
-from perfbound.schemas.facts import (
+from perfbound.schemas.failure import Failure
+from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.file.objectives import OBJECTIVES
+from perfbound.schemas.ids import Attempt, RolloutId
+from perfbound.schemas.result.facts import (
     RECORDED,
     RESTORED,
     BoundFact,
@@ -36,9 +39,6 @@ from perfbound.schemas.facts import (
     ProposalFact,
     RolloutFact,
 )
-from perfbound.schemas.failure import Failure
-from perfbound.schemas.ids import Attempt, RolloutId
-from perfbound.schemas.problems import OBJECTIVES
 from perfbound.schemas.system import Column, Parameter, SystemSpec
 from perfbound.schemas.values import Bound, Observation, Proposal
 from perfbound.workers.systems import load_system

@@ -13,7 +13,7 @@ from perfbound.orchestrator.store import files
 from perfbound.schemas import atomic
 from perfbound.schemas.errors import EvidenceError, TrajectoryError
 from perfbound.schemas.ids import RolloutId
-from perfbound.schemas.trajectory import Trajectory, encode, read_mcap
+from perfbound.schemas.trajectory.trajectory import Trajectory, encode, read_mcap
 
 DATA = b"evidence" * 1000
 NAME = "trajectories/p/0/p.0.true.0.mcap"
@@ -134,7 +134,7 @@ def test_a_file_names_its_request() -> None:
 
 @pytest.mark.parametrize("text", [b"[]", b"{", b"\xff", b"", b"1"])
 def test_a_request_that_is_no_object_is_refused(text: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
-    from perfbound.schemas import trajectory as module
+    from perfbound.schemas.trajectory import trajectory as module
 
     class Text(str):
         def encode(self, *_: Any) -> bytes:

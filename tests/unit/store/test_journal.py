@@ -26,15 +26,23 @@ from perfbound.orchestrator.store.lock import LOCK_FILE, campaign_lock, is_held
 from perfbound.orchestrator.store.progress import header_alone, read_progress, session_options
 from perfbound.orchestrator.store.rows import DATABASE, SCHEMA_VERSION
 from perfbound.orchestrator.store.untrusted import read_untrusted, read_untrusted_header
-from perfbound.schemas.campaign import CampaignConfig
-from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import JournalError, PerfboundError
-from perfbound.schemas.facts import BoundFact, ExtensionFact, Fact, Header, ObservationFact, ProposalFact, RolloutFact
 from perfbound.schemas.failure import Failure
+from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.file.reader import parse_campaign
 from perfbound.schemas.ids import Attempt, RolloutId
 from perfbound.schemas.ranges import MOST_SECONDS
+from perfbound.schemas.result.facts import (
+    BoundFact,
+    ExtensionFact,
+    Fact,
+    Header,
+    ObservationFact,
+    ProposalFact,
+    RolloutFact,
+)
 from perfbound.schemas.rollout import RolloutRequest
-from perfbound.schemas.trajectory import decode
+from perfbound.schemas.trajectory.trajectory import decode
 from perfbound.schemas.values import Bound, Observation, Proposal
 from perfbound.workers.simulate import run_request
 from perfbound.workers.systems import load_system

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from perfbound.schemas.errors import SimulationError
-from perfbound.schemas.messages import (
+from perfbound.schemas.link.messages import (
     Ack,
     Assign,
     Cancel,

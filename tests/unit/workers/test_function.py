@@ -13,11 +13,11 @@ from mcap.reader import make_reader
 
 import perfbound as pb
 from perfbound.schemas.errors import DefinitionError, SimulationError, UnknownSystemError
+from perfbound.schemas.file.signals import SignalShape
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.rollout import RequestTemplate
-from perfbound.schemas.signals import SignalShape
 from perfbound.schemas.system import ASSUMED_HORIZON
-from perfbound.schemas.trajectory import read_mcap
+from perfbound.schemas.trajectory.trajectory import read_mcap
 from perfbound.workers import systems
 from perfbound.workers.simulate import run_request_on
 from perfbound.workers.systems.files import MODULE, load_file

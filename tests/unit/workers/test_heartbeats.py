@@ -2,8 +2,7 @@
 
 import pytest
 
-from perfbound.schemas.heartbeats import HEARTBEAT
-from perfbound.schemas.messages import HeartbeatInterval
+from perfbound.schemas.link.messages import HEARTBEAT, HeartbeatInterval
 from perfbound.workers import heartbeats as module
 from perfbound.workers.heartbeats import Heartbeats
 from perfbound.workers.worker import WorkerProcess

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from perfbound.schemas.trajectory import Trajectory
+from perfbound.schemas.trajectory.trajectory import Trajectory
 from perfbound.workers.check_system import _grid
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from perfbound.schemas.messages import Assign, ResultHeader, WorkerState
+from perfbound.schemas.link.messages import Assign, ResultHeader, WorkerState
 from perfbound.workers.parcels import LONGEST_WAIT, Parcels
 from perfbound.workers.transport import Receiver
 from tests.unit.fleet.test_fuzz_border import REQUEST

@@ -16,9 +16,9 @@ import psutil
 import pytest
 
 import perfbound as pb
-from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import DefinitionError, SimulationError
-from perfbound.schemas.secret import VARIABLE
+from perfbound.schemas.file.reader import parse_campaign
+from perfbound.schemas.link.secret import VARIABLE
 from perfbound.workers.systems.base import Cancelled
 from perfbound.workers.systems.files import load_reference
 from perfbound.workers.systems.program import PREFIX, ProgramSystem, load_program, read_samples

@@ -13,7 +13,7 @@ from scipy.linalg import solve_continuous_are
 
 from perfbound.schemas.errors import SimulationError
 from perfbound.schemas.system import OptionValue
-from perfbound.schemas.trajectory import Floats, Trajectory, decode, encode
+from perfbound.schemas.trajectory.trajectory import Floats, Trajectory, decode, encode
 from perfbound.workers.systems.base import Cancelled
 from perfbound.workers.systems.segway import SegwaySystem, bullet, controller
 from perfbound.workers.systems.segway.bullet import StartPose, World

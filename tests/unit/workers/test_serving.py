@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from perfbound.schemas.messages import RunFinished
+from perfbound.schemas.link.messages import RunFinished
 from perfbound.workers import serving
 from perfbound.workers.ends import EndOptions
 from perfbound.workers.serving import Life, LinkOptions, serve_campaigns

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from perfbound.schemas.errors import SimulationError, UnknownSystemError
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.system import OptionValue
-from perfbound.schemas.trajectory import Trajectory, decode
+from perfbound.schemas.trajectory.trajectory import Trajectory, decode
 from perfbound.workers import simulate, systems
 from perfbound.workers.systems.base import Cancelled
 from perfbound.workers.systems.test_function import TestFunctionSystem

@@ -7,9 +7,9 @@ from typing import Any, cast
 import pytest
 import zenoh
 
-from perfbound.schemas import keys
-from perfbound.schemas.seal import orchestrator_name, router_name
-from perfbound.schemas.sealed import fresh_name
+from perfbound.schemas.link import key_expressions
+from perfbound.schemas.link.ends import fresh_name
+from perfbound.schemas.link.seal import orchestrator_name, router_name
 from perfbound.workers.transport import ZenohUplink
 
 ORCHESTRATOR = orchestrator_name(b"secret", "r", fresh_name(by_certificate=False))
@@ -39,5 +39,7 @@ def test_an_orchestrator_and_a_router_are_there_while_their_tokens_are(kinds: li
         return uplink
 
     there = kinds[-1] == PUT
-    assert seen(keys.live_orchestrator("r", ORCHESTRATOR)).orchestrators() == ([(ORCHESTRATOR, "r")] if there else [])
-    assert seen(keys.live_router(STRICT_ROUTER)).by_certificate(ORCHESTRATOR) == there
+    assert seen(key_expressions.live_orchestrator("r", ORCHESTRATOR)).orchestrators() == (
+        [(ORCHESTRATOR, "r")] if there else []
+    )
+    assert seen(key_expressions.live_router(STRICT_ROUTER)).by_certificate(ORCHESTRATOR) == there

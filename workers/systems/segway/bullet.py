@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ....schemas.errors import SimulationError, UnknownSystemError
-from ....schemas.trajectory import Floats
+from ....schemas.trajectory.trajectory import Floats
 from ..base import Progress
 from .controller import HEADING_RATE, PHI, Gains, State, voltages
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ....schemas.errors import SimulationError
 from ....schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, Variant
-from ....schemas.trajectory import Trajectory, Visual
+from ....schemas.trajectory.trajectory import Trajectory, Visual
 from ..base import Progress, SystemUnderTest, checked_options
 from .bullet import CONTROL_RATE, StartPose, World, providers
 from .controller import GAINS

@@ -14,7 +14,7 @@ from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.duration_pb2 import Duration
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from ....schemas.trajectory import Floats, Trajectory, Transform, Visual
+from ....schemas.trajectory.trajectory import Floats, Trajectory, Transform, Visual
 from .bullet import CENTRE_OF_MASS, FALLEN, WHEEL_RADIUS
 from .controller import GOAL
 

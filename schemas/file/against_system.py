@@ -1,0 +1,216 @@
+"""The checks of a campaign against its system under test: parameters, columns, options, horizon."""
+
+from collections.abc import Iterator
+
+from ..errors import CampaignError, meant, nearest_name
+from ..system import SystemSpec
+from .config import CampaignConfig
+from .drawn_claims import drawn_claims, fewest_samples
+from .objectives import rolled_out
+from .parameters import signal_shapes
+from .parts import parts_of
+from .problem_models import KernelProblem, Problem, RigorousProblem
+from .space import Scenarios, StartTable
+
+
+def check_against(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
+    """Check the parameters, columns, options and horizon of a campaign.
+
+    Raises:
+        CampaignError: a line for each fault, with the file, the key and the allowed values.
+
+    """
+    if faults := _faults(config, spec):
+        raise CampaignError(*(f"{source}: {fault}" for fault in faults))
+
+
+def _faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
+    kinds = (_signal_faults, _space_faults, _kernel_faults, _option_faults, _rollout_faults, _nominal_faults)
+    return [fault for faults in kinds for fault in faults(config, spec)]
+
+
+def _signal_faults(config: CampaignConfig, spec: SystemSpec) -> Iterator[str]:
+    shapes, declared = signal_shapes(config.space), spec.declared
+    taken = [each.name for each in declared.parameters if each.signal]
+    if not isinstance(config.space, dict):
+        key = "scenarios" if isinstance(config.space, Scenarios) else "table"
+        yield from (
+            f"space.{key}: {spec.name} takes {name} as an input over time, which no list has; give a range per "
+            f'parameter, and {name} = {{ signal = "pchip", knots = 5, low = ..., high = ... }}'
+            for name in taken
+        )
+        return
+    given = {each.name for each in shapes}
+    for parameter in declared.parameters:
+        name = parameter.name
+        if parameter.signal and name in config.space and name not in given:
+            yield (
+                f"space.{name}.signal: this key is required: {spec.name} takes {name} as an input over time; give "
+                "'pchip', 'linear' or 'constant', and knots"
+            )
+        elif name in given and not parameter.signal:
+            yield (
+                f"space.{name}.signal: {spec.name} takes {name} as a number; remove signal and knots, or declare it "
+                "in the system: Parameter(..., signal=True)"
+            )
+    # The identity of a system does not depend on the knots: those of a stored one must be those of the campaign.
+    if spec.signals and spec != declared.spread(shapes):
+        yield f"space: its input signals are not those of the stored {spec.name}; restore the database from a copy"
+
+
+def _space_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
+    if not isinstance(config.space, dict):
+        return list(_row_faults(config.space, spec))
+    known = {parameter.name: parameter for parameter in spec.declared.parameters}
+    faults = [
+        f"space.{name}: unknown parameter; {meant(name, known)}{spec.name} has {', '.join(known)}"
+        for name in config.space
+        if name not in known
+    ]
+    misspelt = {nearest_name(name, known) for name in config.space if name not in known}
+    faults += [
+        f"space.{name}: this parameter of {spec.name} is required"
+        for name in known
+        if name not in config.space and name not in misspelt
+    ]
+    for name, box in config.space.items():
+        parameter = known.get(name)
+        if parameter is None:
+            continue
+        if not parameter.low <= box.low <= box.high <= parameter.high:
+            faults.append(
+                f"space.{name}: [{box.low:g}, {box.high:g}] leaves [{parameter.low:g}, {parameter.high:g}] "
+                f"{parameter.unit}, the range of {spec.name}"
+            )
+        if box.unit not in ("", parameter.unit):
+            faults.append(f"space.{name}.unit: {box.unit!r} is not allowed: {spec.name} takes {parameter.unit!r}")
+    return faults
+
+
+def _row_faults(space: Scenarios | StartTable, spec: SystemSpec) -> Iterator[str]:
+    names = [parameter.name for parameter in spec.parameters]
+    key, entry = ("space.scenarios", "entry") if isinstance(space, Scenarios) else ("space.table", "row")
+    for name, column in zip(names, space.header or names, strict=False):
+        # Any other words are a comment; a name in the column of another parameter exchanges their values.
+        if column != name and column in names:
+            yield (
+                f"{key}: the header has {column} in the column of {name}; sort the columns as {spec.name} takes them: "
+                f"{', '.join(names)}"
+            )
+            return
+    for number, row in enumerate(space.rows):
+        if len(row) != len(names):
+            yield f"{key}: {entry} {number} is {list(row)}; {spec.name} takes {', '.join(names)}"
+            return
+        for parameter, value in zip(spec.parameters, row, strict=True):
+            if not parameter.low <= value <= parameter.high:
+                yield (
+                    f"{key}: {entry} {number}, {parameter.name} = {value:g} leaves "
+                    f"[{parameter.low:g}, {parameter.high:g}] {parameter.unit}, the range of {spec.name}"
+                )
+
+
+def _kernel_faults(config: CampaignConfig, spec: SystemSpec) -> Iterator[str]:
+    # Other parameters have lines already, and length scales that follow from them would repeat their names.
+    if isinstance(config.space, dict) and config.space.keys() != {each.name for each in spec.declared.parameters}:
+        return
+    parameters = spec.spread(signal_shapes(config.space)).parameters
+    names = {parameter.name for parameter in parameters}
+    for where, problem in _having(config, "kernel"):
+        lengths = problem.kernel.length_scale if isinstance(problem, KernelProblem) else None
+        if isinstance(lengths, dict) and lengths.keys() != names:
+            given = ", ".join(lengths)
+            wanted = ", ".join(parameter.name for parameter in parameters)
+            yield f"{where}.length_scale: has {given}; give one number for each parameter of {spec.name}: {wanted}"
+
+
+def _having(config: CampaignConfig, key: str) -> Iterator[tuple[str, Problem]]:
+    """Yield each problem, and that of each requirement with its own value of a key, with the place of the key."""
+    for problem in config.problems:
+        yield f"problems.{problem.name}.{key}", problem
+    for requirement, part in zip(config.specifications, parts_of(config), strict=False):
+        if key in requirement.constants:
+            yield f"specifications.{requirement.name}.{key}", part.problems[0]
+
+
+def _option_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
+    known = {option.name: option for option in spec.options}
+    faults = []
+    for name, value in config.system.options.items():
+        option = known.get(name)
+        if option is None:
+            allowed = ", ".join(["name", *known])
+            faults.append(f"system.{name}: unknown key; {meant(name, known)}allowed for {spec.name} are {allowed}")
+        elif option.choices:
+            if value not in option.choices:
+                faults.append(f"system.{name}: {value!r} is not allowed: choose from {', '.join(option.choices)}")
+        elif not isinstance(value, int | float) or not _in_limits(value, option.low, option.high):
+            faults.append(f"system.{name}: {value!r} is not allowed: allowed is {option.allowed_numbers}")
+    return faults
+
+
+def _in_limits(value: float, low: float | None, high: float | None) -> bool:
+    return (low is None or low <= value) and (high is None or value <= high)
+
+
+def _claim_faults(config: CampaignConfig, problem: Problem, *, noisy: bool) -> Iterator[str]:
+    """Yield what a claim about most starts lacks: where values are noisy it is one of means, else one of a quantile."""
+    for claim in config.claims_of(problem):
+        if claim.asked.quantity != "share_of_starts":
+            continue
+        where, tests = f"claims.{drawn_claims(config.claims).index(claim.asked)}", config.max_tests_of(problem)
+        if (noisy or config.until_counterexample) and config.clip is None:
+            yield f"clip: required by {where}, the bound of a mean: give [low, high]"
+        elif not noisy and tests < (least := fewest_samples(claim)):
+            yield f"max_tests: {where} needs at least {least} samples, not {tests}"
+
+
+def _nominal_faults(config: CampaignConfig, spec: SystemSpec) -> Iterator[str]:
+    known = {parameter.name: parameter for parameter in spec.parameters}
+    for name, value in (config.falsify.nominal if config.falsify else {}).items():
+        if name not in known:
+            yield f"falsify.nominal.{name}: unknown parameter; {meant(name, known)}{spec.name} has {', '.join(known)}"
+        elif not known[name].low <= value <= known[name].high:
+            yield (
+                f"falsify.nominal.{name}: {value:g} leaves [{known[name].low:g}, {known[name].high:g}], the range of "
+                f"{spec.name}"
+            )
+
+
+def _rollout_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
+    columns = [column.name for column in spec.columns]
+    faults = []
+    if spec.repeated == "nowhere" and config.recheck > 0:
+        faults.append(f"recheck: {config.recheck} is not allowed: no rollout of {spec.name} can be repeated; give 0")
+    if config.horizon > spec.max_horizon:
+        faults.append(f"horizon: {config.horizon:g} s is more than the {spec.max_horizon:g} s of {spec.name}")
+    if config.horizon == 0 and spec.timed:
+        faults.append(f"horizon: this key is required: {spec.name} takes the duration of a rollout, in s")
+    for problem in config.problems:
+        variants = set(rolled_out(problem.name, spec))
+        missing = variants - set(spec.variants)
+        if missing:
+            faults.append(f"problems.{problem.name}: {spec.name} has no variant {', '.join(sorted(missing))}")
+        noisy = variants & set(spec.noisy)
+        faults += _claim_faults(config, problem, noisy=bool(noisy))
+        gap = config.gap_of(problem)
+        if gap is not None and gap.kind != "robustness" and spec.after_end == "fail":
+            faults.append(
+                f"problems.{problem.name}.gap.kind: {gap.kind!r} bounds no difference of rollouts of {spec.name}, of "
+                'which one may end early and fail; use kind = "robustness", or after_end = "hold"'
+            )
+    for where, problem in _having(config, "noise_scale"):
+        noisy = set(rolled_out(problem.name, spec)) & set(spec.noisy)
+        if isinstance(problem, RigorousProblem) and problem.noise_scale == 0 and noisy:
+            faults.append(
+                f"{where}: 0 has no meaning for the {' and '.join(sorted(noisy))} variant "
+                f"of {spec.name}, whose rollouts depend on the seed: allowed is 'derived' or a number > 0"
+            )
+    chosen = {"gap.column": config.gap.column if config.gap else None}
+    for problem in config.problems:
+        chosen[f"problems.{problem.name}.gap.column"] = problem.gap.column if problem.gap else None
+        chosen[f"problems.{problem.name}.column"] = problem.column
+    for key, column in chosen.items():
+        if column is not None and column not in columns:
+            faults.append(f"{key}: no column {column!r}; {meant(column, columns)}{spec.name} has {', '.join(columns)}")
+    return faults

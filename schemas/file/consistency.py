@@ -1,0 +1,350 @@
+"""Which keys of a campaign go together: every rule that two of them or more have to keep."""
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+
+from .composition import PAIR, ComposedClaim, Rule, composed_claims
+from .drawn_claims import SAMPLED, UP_TO_CHANCE, ClaimRequest, DrawnClaim, drawn_claims, fewest_samples
+from .keys import CampaignKeys
+from .method_spaces import LATTICE_PARAMETERS, check_region, check_space, check_starts, draws_starts
+from .objectives import CLAIMS, OBJECTIVES, OF_ROBUSTNESS, ProblemName, any_of
+from .parameters import check_signals, parameter_ranges
+from .parts import parts_of
+from .problem_models import KrigingProblem, Problem, RigorousProblem, SampleProblem
+from .space import space_kind
+
+ORDERED = {"quantile", "next_rollout"}
+"""Quantities that are bounded by one of the values, so that few samples have no bound at all."""
+
+
+class InconsistentKeysError(ValueError):
+    """Keys that do not go together; `lines` has one for each fault, with the key and the remedy."""
+
+    def __init__(self, lines: Sequence[str]) -> None:
+        self.lines = tuple(lines)
+        super().__init__("\n".join(lines))
+
+
+def check_consistent(config: CampaignKeys) -> None:
+    """Refuse keys that do not go together.
+
+    Raises:
+        InconsistentKeysError: a line for each fault, with the key and the remedy.
+
+    """
+    # A rule may rely on those of the steps before its own.
+    for step in (_rules_of_keys, _rules_of_problems, _rules_of_claims):
+        faults: dict[str, str] = {}
+        for check in step(config):
+            try:
+                check()
+            except ValueError as error:
+                # Several rules may need one key: it is given once.
+                faults.setdefault(str(error).partition(":")[0], str(error))
+        if faults:
+            raise InconsistentKeysError(tuple(faults.values()))
+
+
+def _rules_of_keys(config: CampaignKeys) -> Iterator[Callable[[], None]]:
+    """Yield the rules of single keys, on which those of several keys rely."""
+    yield partial(_check_repeated, config)
+    yield partial(_check_clip_order, config)
+    yield partial(_check_required, config)
+    yield partial(check_signals, config.space, config.horizon)
+
+
+def _rules_of_problems(config: CampaignKeys) -> Iterator[Callable[[], None]]:
+    """Yield the rules of each problem."""
+    for problem in config.problems:
+        yield partial(_check_objective, config, problem)
+        yield partial(_check_method, config, problem)
+
+
+def _rules_of_claims(config: CampaignKeys) -> Iterator[Callable[[], None]]:
+    """Yield the rules of all problems together, and of what is claimed."""
+    yield partial(_check_starts_agree, config)
+    if config.until_counterexample:
+        yield partial(_check_until_counterexample, config, config.problems[0])
+    if config.on_refuted == "stop":
+        yield partial(_check_on_refuted, config)
+    if config.regions:
+        yield partial(check_regions, config)
+    yield partial(check_composition, config)
+    if config.specifications:
+        yield partial(_check_specifications, config)
+    yield partial(_check_claims, config)
+
+
+def _check_repeated(config: CampaignKeys) -> None:
+    names = [problem.name for problem in config.problems]
+    for repeated in {name for name in names if names.count(name) > 1}:
+        raise ValueError(f"problems: {repeated!r} appears twice; list every problem at most once")
+
+
+def _check_required(config: CampaignKeys) -> None:
+    """Refuse a margin that no clipped value can have; the default one is that of campaigns from before it existed."""
+    if config.required_margin and config.clip is not None and config.required_margin >= config.clip[1]:
+        raise ValueError(
+            f"required_margin: {config.required_margin:g} is not below the upper clip {config.clip[1]:g}, which no "
+            "clipped robustness exceeds; choose a wider clip"
+        )
+
+
+def _check_clip_order(config: CampaignKeys) -> None:
+    if config.clip is not None and not config.clip[0] < config.clip[1]:
+        raise ValueError(f"clip: {list(config.clip)} must be [low, high] with low < high")
+
+
+def _check_starts_agree(config: CampaignKeys) -> None:
+    # A claim that is composed of two bounds is about the starts that both cover.
+    if len({config.starts_of(problem) for problem in config.problems if not draws_starts(problem.method)}) > 1:
+        raise ValueError("candidates: the problems choose from different starts; give their number, or one resolution")
+
+
+def _check_objective(config: CampaignKeys, problem: Problem) -> None:
+    objective = OBJECTIVES[problem.name]
+    if objective.measured != "column":
+        if config.formula is None:
+            raise ValueError(f"specification: required by problem {problem.name!r}")
+        if config.clip is None:
+            _check_unclipped(problem)
+    if config.horizon == 0 and not objective.static:
+        raise ValueError(f"horizon: problem {problem.name!r} needs a rollout longer than 0 s")
+    if objective.measured == "gap" and config.gap_of(problem) is None:
+        raise ValueError('gap: required by problem \'sim_gap\', e.g. { kind = "signal_sup", column = "phi" }')
+
+
+def _check_until_counterexample(config: CampaignKeys, problem: Problem) -> None:
+    if len(config.problems) > 1 or problem.name not in OF_ROBUSTNESS:
+        raise ValueError(
+            f"until_counterexample: only for one problem, {any_of(OF_ROBUSTNESS)}; remove this key, or the other "
+            "problems"
+        )
+    if problem.method == "paper":
+        raise ValueError(
+            "until_counterexample: method 'paper' has no bound at a test that depends on the outcomes; choose "
+            "'rigorous' or 'scenario'"
+        )
+    if config.clip is not None and config.clip[0] >= 0:
+        raise ValueError(
+            f"clip: {list(config.clip)} must begin below 0 with until_counterexample, or it hides every violation"
+        )
+
+
+def _check_on_refuted(config: CampaignKeys) -> None:
+    """Refuse a stop that depends on outcomes where a bound holds after a number of tests that is fixed beforehand."""
+    fixed = [each for each in config.problems if each.method not in ("rigorous", "scenario")]
+    if fixed:
+        raise ValueError(
+            f"on_refuted: 'stop' is not for method {fixed[0].method!r}, whose bound holds at a number of tests that no "
+            "outcome decides; remove this key, or choose 'rigorous' or 'scenario'"
+        )
+
+
+def _check_unclipped(problem: Problem) -> None:
+    """Refuse a robustness without a range where a mean, or a difference, has to be bounded."""
+    if not OBJECTIVES[problem.name].static:
+        raise ValueError(f"clip: required by problem {problem.name!r}")
+    if isinstance(problem, SampleProblem):
+        return  # its claims decide: most of them are about values of any range
+    # Without noise an observation is the value itself, and no mean of a bounded variable.
+    if not isinstance(problem, RigorousProblem) or problem.noise_scale != 0:
+        raise ValueError(
+            f"clip: required by problem {problem.name!r} with noise; give [low, high], or choose method 'rigorous' "
+            "with noise_scale = 0 for rollouts that do not depend on the seed"
+        )
+
+
+def _check_method(config: CampaignKeys, problem: Problem) -> None:
+    where = f"problems.{problem.name}"
+    if config.candidates is not None:
+        check_starts(problem.method, config.space, config.candidates)
+    check_space(problem.method, config.space, config.resolution_of(problem), config.starts_of(problem), where)
+    if config.where is not None:
+        check_region(problem.method, config.space)
+    if isinstance(problem, KrigingProblem):
+        _check_design(config, problem, where)
+    if problem.method == "paper":
+        if OBJECTIVES[problem.name].risk and config.replicates_of(problem) < 2:
+            raise ValueError(f"{where}.replicates: a standard deviation needs at least 2 rollouts a test")
+        if config.window_of(problem) != 1:
+            raise ValueError(f"{where}.window: Algorithm 1 is sequential, method 'paper' allows 1 only")
+        if config.max_tests_of(problem) < 2:
+            raise ValueError(f"{where}.max_tests: method 'paper' gives no bound before the second test")
+
+
+def _check_design(config: CampaignKeys, problem: KrigingProblem, where: str) -> None:
+    """Refuse what a design cannot be planned for."""
+    assert isinstance(config.space, dict), "the space is checked before"
+    if len(parameter_ranges(config.space)) > LATTICE_PARAMETERS:
+        raise ValueError(
+            f"{where}.method: 'kriging' is for at most {LATTICE_PARAMETERS} parameters; choose 'rigorous' or 'sample'"
+        )
+    if config.falsify is not None:
+        raise ValueError(
+            "falsify: method 'kriging' plans every start beforehand; remove this key, or choose 'rigorous'"
+        )
+    resolution = config.resolution_of(problem)
+    if problem.points is not None and problem.points > resolution:
+        raise ValueError(f"{where}.points: {problem.points} is more than the {resolution} nodes per parameter")
+
+
+def _check_specifications(config: CampaignKeys) -> None:
+    names = [each.name for each in config.specifications]
+    for repeated in {name for name in names if names.count(name) > 1}:
+        raise ValueError(f"specifications: {repeated!r} appears twice; give each its own name")
+    if config.specification is not None:
+        raise ValueError("specification: not allowed beside specifications; give it a name there")
+    problem = config.problems[0]
+    join = "join them with `and` in `specification`"
+    if len(config.problems) > 1 or problem.name not in OF_ROBUSTNESS:
+        raise ValueError(f"specifications: only for one problem, {any_of(OF_ROBUSTNESS)}; {join}")
+    if problem.method == "paper":
+        raise ValueError(f"specifications: Algorithm 1 chooses every test by its own bound; {join}")
+    if config.regions:
+        raise ValueError(f"regions: divides the box by one specification; {join}, or remove this key")
+    for each in config.specifications:
+        if isinstance(problem, SampleProblem) and each.constants:
+            key = next(iter(each.constants))
+            raise ValueError(f"specifications.{each.name}.{key}: has no meaning in method 'sample'; remove this key")
+    for part in parts_of(config):
+        _check_objective(part, part.problems[0])
+
+
+def _check_claims(config: CampaignKeys) -> None:
+    sampled = [problem for problem in config.problems if isinstance(problem, SampleProblem)]
+    drawn = drawn_claims(config.claims)
+    if drawn and not sampled:
+        raise ValueError("claims: only method 'sample' claims anything of drawn starts; choose it, or remove this")
+    for number, asked in enumerate(drawn):
+        _check_asked(config, f"claims.{number}", asked, sampled[0])
+        if asked in drawn[:number]:
+            raise ValueError(f"claims.{number}: is there twice; list every claim once")
+    for problem in sampled:
+        for claim in config.claims_of(problem):
+            _check_number(config, claim, problem)
+    if sampled and config.clip is not None and config.clip[0] >= 0:
+        raise ValueError(f"clip: {list(config.clip)} must begin below 0, or it hides every violation")
+
+
+def _check_asked(config: CampaignKeys, where: str, claim: ClaimRequest, problem: SampleProblem) -> None:
+    if config.clip is None and SAMPLED[claim.quantity].clip:
+        raise ValueError(f"clip: required by {where}, the bound of a mean: give [low, high]")
+    if problem.jointly and (claim.delta or claim.quantity in UP_TO_CHANCE):
+        raise ValueError(f"jointly: {where} has a failure probability of its own; remove one of the two")
+    # With `until_counterexample` their number depends on the outcomes.
+    if config.until_counterexample and claim.quantity in UP_TO_CHANCE:
+        raise ValueError(
+            f"{where}.quantity: {claim.quantity!r} needs a number of samples that is fixed beforehand; remove this "
+            "claim, or until_counterexample"
+        )
+    if config.until_counterexample and claim.quantity in ORDERED and config.clip is None:
+        raise ValueError(f"clip: required by {where} with until_counterexample: give [low, high]")
+
+
+def _check_number(config: CampaignKeys, claim: DrawnClaim, problem: SampleProblem) -> None:
+    # A bound that is valid after every sample begins at the clip.
+    if claim.asked.quantity not in ORDERED or config.until_counterexample:
+        return
+    least, tests = fewest_samples(claim), config.max_tests_of(problem)
+    if tests < least:
+        number = drawn_claims(config.claims).index(claim.asked)
+        raise ValueError(
+            f"max_tests: claims.{number} needs at least {least} samples, not {tests}; raise it or the level"
+        )
+
+
+def check_composition(config: CampaignKeys) -> None:
+    """Refuse a rule that the problems or their methods have no bound for.
+
+    Raises:
+        ValueError: one line with the key and the remedy.
+
+    """
+    composed = composed_claims(config.claims)
+    if composed:
+        if len(composed) < len(config.claims):
+            raise ValueError("claims: of drawn starts, or by a rule, not both in one campaign")
+        if config.specifications or any(problem.method == "sample" for problem in config.problems):
+            raise ValueError("claims: a rule is for methods that bound a worst start, and for one specification")
+        if config.composition != "single":
+            raise ValueError("composition: is short for one entry of [[claims]]; remove one of the two")
+        _check_composed(config, composed)
+        return
+    names = tuple(problem.name for problem in config.problems)
+    if config.composition == "single":
+        if len(names) != 1:
+            raise ValueError("composition: 'single' is for one problem; allowed here: 'product', 'sum'")
+        _check_single(names, "composition")
+        return
+    if not set(PAIR) <= set(names):
+        raise ValueError(f"composition: {config.composition!r} needs the problems {' and '.join(map(repr, PAIR))}")
+    _check_rule(config, config.composition, "composition")
+
+
+def _check_composed(config: CampaignKeys, composed: Sequence[ComposedClaim]) -> None:
+    names = [problem.name for problem in config.problems]
+    for number, claim in enumerate(composed):
+        where = f"claims.{number}"
+        if claim in composed[:number]:
+            raise ValueError(f"{where}: is there twice; list every claim once")
+        for name in claim.problems:
+            if name not in names:
+                raise ValueError(f"{where}.problems: no problem {name!r} here; choose of {', '.join(names)}")
+        if claim.rule == "single":
+            if len(claim.problems) != 1:
+                raise ValueError(f"{where}.problems: rule 'single' is for one problem")
+            _check_single(claim.problems, f"{where}.rule")
+        elif claim.problems != PAIR:
+            raise ValueError(f"{where}.problems: rule {claim.rule!r} is for {list(PAIR)}")
+        else:
+            _check_rule(config, claim.rule, f"{where}.rule")
+    for name in names:
+        if all(name not in claim.problems for claim in composed):
+            raise ValueError(f"claims: none uses the problem {name!r}; add one, or remove the problem")
+
+
+def _check_single(names: tuple[ProblemName, ...], where: str) -> None:
+    if set(names) & set(PAIR):
+        raise ValueError(f"{where}: 'single' makes a claim of {any_of(CLAIMS)} only")
+
+
+def _check_rule(config: CampaignKeys, rule: Rule, where: str) -> None:
+    pair: list[Problem] = [problem for problem in config.problems if problem.name in PAIR]
+    methods = {problem.method for problem in pair}
+    if rule == "product" and methods != {"paper"}:
+        raise ValueError(f"{where}: 'product' is for method 'paper'; 'sum' holds for every method")
+    if rule == "pointwise" and methods != {"rigorous"}:
+        raise ValueError(f"{where}: {rule!r} needs method 'rigorous' in both problems")
+    if rule == "bhatia-davis" and "paper" in methods:
+        raise ValueError(f"{where}: {rule!r} is not for method 'paper'; choose 'rigorous' in both problems")
+    if rule == "pointwise" and len({config.resolution_of(problem) for problem in pair}) != 1:
+        raise ValueError(f"{where}: 'pointwise' needs one resolution for both problems")
+
+
+def check_regions(config: CampaignKeys) -> None:
+    """Refuse a campaign whose box cannot be divided into regions.
+
+    Raises:
+        ValueError: one line with the key and the remedy.
+
+    """
+    first, clip = config.problems[0], config.clip
+    if len(config.problems) > 1 or first.name not in OF_ROBUSTNESS:
+        raise ValueError(
+            f"regions: only for one problem, {any_of(OF_ROBUSTNESS)}; remove this key, or the other problems"
+        )
+    # Only this method has one band that is true at all starts at once, and between the nodes.
+    if first.method != "rigorous":
+        raise ValueError(
+            f"regions: method {first.method!r} has no band that holds at all starts of a box at once; choose 'rigorous'"
+        )
+    if space_kind(config.space) != "box":
+        raise ValueError("regions: a list of starts has no regions; give low and high per parameter under [space]")
+    if config.where is not None or config.starts_of(first) is not None:
+        raise ValueError(
+            "regions: only a whole box with a lattice is divided; remove `where` and `candidates`, and with more than "
+            "three parameters give `resolution`"
+        )
+    if clip is not None and not clip[0] < 0 < clip[1]:
+        raise ValueError(f"clip: {list(clip)} must contain 0 inside with regions, or it decides the sign everywhere")

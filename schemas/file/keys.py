@@ -1,0 +1,236 @@
+"""Every key of a campaign file: its unit, its range and its meaning."""
+
+from typing import Annotated, Literal
+
+from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator
+
+from ..base import Model
+from .composition import ComposedClaim, Rule, is_composed
+from .drawn_claims import SAMPLED, ClaimRequest, DrawnClaim, drawn_claims
+from .method_spaces import MOST_STARTS, RESOLUTION, fixed_starts
+from .objectives import OBJECTIVES, Sense
+from .problem_models import Falsify, Gap, Problem, SampleProblem
+from .requirements import MOST, Requirement, conjunction
+from .space import Space, SystemChoice
+
+
+class CampaignSize(Model):
+    """Name, seed and size of a campaign; a problem may have its own size."""
+
+    name: str = Field(
+        pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$",
+        description="names the run directory; with `seed`, decides on all seeds",
+    )
+    seed: int = Field(default=1, ge=0, lt=2**53, description="determines every random choice; `--seed` overrides it")
+    window: int = Field(default=1, ge=1, le=10_000, description="tests in flight per problem")
+    replicates: int = Field(default=1, ge=1, le=100_000, description="rollouts per test and variant")
+    resolution: int = Field(default=RESOLUTION, ge=2, description="lattice nodes per parameter")
+    max_tests: int = Field(default=2000, ge=1, le=1_000_000, description="largest number of tests per problem")
+
+    def window_of(self, problem: Problem) -> int:
+        """Return the tests in flight of one problem."""
+        return problem.window or self.window
+
+    def replicates_of(self, problem: Problem) -> int:
+        """Return the rollouts per test and variant of one problem."""
+        return problem.replicates or self.replicates
+
+    def resolution_of(self, problem: Problem) -> int:
+        """Return the lattice nodes per parameter of one problem."""
+        return problem.resolution or self.resolution
+
+    def max_tests_of(self, problem: Problem) -> int:
+        """Return the budget of one problem."""
+        return problem.max_tests or self.max_tests
+
+
+Asked = Annotated[
+    Annotated[ClaimRequest, Tag("drawn")] | Annotated[ComposedClaim, Tag("composed")],
+    Discriminator(lambda asked: "composed" if is_composed(asked) else "drawn"),
+]
+"""An entry of `[[claims]]`."""
+
+
+class CampaignKeys(CampaignSize):
+    """All keys of a campaign file, each valid by itself."""
+
+    horizon: float = Field(
+        default=0.0, ge=0, description="duration of a rollout in s; 0 for a function, whose rollout is one sample"
+    )
+    risk_weight: float = Field(default=0.2, gt=0, description="r of the risk E[rho] - r sd[rho]")
+    clip: tuple[float, float] | None = Field(
+        default=None,
+        description="[-m, M]: range to which robustness is clipped; not needed by `maximum`, nor by `robustness` with "
+        "`noise_scale = 0`",
+    )
+    specification: str | None = Field(
+        default=None,
+        max_length=10_000,
+        description="STL formula over the columns; required by every problem but `maximum`",
+    )
+    specifications: tuple[Requirement, ...] = Field(
+        default=(),
+        max_length=MOST,
+        exclude_if=lambda requirements: requirements == (),
+        description="several requirements instead of `specification`; not with method `paper`",
+    )
+    required_margin: float = Field(
+        default=0.0,
+        exclude_if=lambda margin: margin == 0,
+        description="for the verdict: least margin that the first claim has to show",
+    )
+    required_at_most: float | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="for the verdict, if the first claim is a bound from above: largest acceptable value; without it "
+        "such a claim is never `SHOWN`",
+    )
+    required_probability: float | None = Field(
+        default=None,
+        gt=0,
+        lt=1,
+        exclude_if=lambda value: value is None,
+        description="for the verdict: least probability of the first claim; by default 1 - delta",
+    )
+    gap: Gap | None = Field(
+        default=None, description="how `sim_gap` compares two trajectories; required by it, here or in the problem"
+    )
+    composition: Rule = Field(
+        default="single",
+        description="rule of the first claim; claims by the other allowed rules follow",
+    )
+    falsify: Falsify | None = Field(
+        default=None,
+        exclude_if=lambda falsify: falsify is None,
+        description="search for a counterexample: tests go where robustness below 0 is expected; implies "
+        "`until_counterexample`",
+    )
+    until_counterexample: bool = Field(
+        default=False,
+        validate_default=True,
+        description="end with the first test, in test order, of which a rollout violates the specification; for one "
+        "problem of the robustness, not with method `paper`",
+    )
+    on_refuted: Literal["continue", "stop"] = Field(
+        default="continue",
+        exclude_if=lambda choice: choice == "continue",
+        description="what a problem does when its tests refute one of its assumptions; `stop` is for methods `rigorous`"
+        " and `scenario`, without spot check. A problem whose bounds contradict its constants always ends",
+    )
+    regions: bool = Field(
+        default=False,
+        exclude_if=lambda regions: not regions,
+        description="divide D into boxes that are certified safe, certified unsafe or undecided; for one problem of the"
+        " robustness on a box, by method `rigorous`",
+    )
+    visual: Literal["all", "none"] = Field(
+        default="all", description="whether trajectory files have a visual part for viewers"
+    )
+    max_attempts: int = Field(
+        default=5,
+        ge=1,
+        le=1000,
+        description="failed attempts of one rollout that end the campaign; two if the system fails alike or misses the "
+        "deadline",
+    )
+    hung_after: float = Field(
+        default=10.0,
+        ge=1,
+        description="s without progress that end an attempt of a system that shows its progress",
+    )
+    deadline: float = Field(default=600.0, ge=1, description="longest attempt in s")
+    second_opinion: float = Field(
+        default=0.0,
+        ge=0,
+        le=1,
+        description="share of the rollouts that two workers simulate; these count if both agree bit by bit",
+    )
+    platform: str | None = Field(
+        default=None,
+        pattern=r"^[a-z0-9][a-z0-9._?-]{0,150}$",
+        description="class of machines (CPU, C library) of the workers, or `any`: then rollouts may differ in the last "
+        "bits; by default that of the first orchestrator",
+    )
+    spot_check: int = Field(
+        default=299,
+        ge=0,
+        le=100_000,
+        description="fresh starts on a box that test every bound after the problems have ended",
+    )
+    spot_check_followups: int = Field(
+        default=299, ge=0, le=1_000_000, description="further rollouts at suspicious starts, if values are noisy"
+    )
+    spot_replicates: int = Field(
+        default=1, ge=1, le=1000, description="rollouts of each test of the spot check, if values are noisy"
+    )
+    recheck: int = Field(
+        default=20, ge=0, le=10_000, description="recorded rollouts that are simulated again before the certificate"
+    )
+    system: SystemChoice = Field(description="the system under test")
+    space: Space = Field(description="D, all starting conditions")
+    where: str | None = Field(
+        default=None,
+        max_length=10_000,
+        exclude_if=lambda where: where is None,
+        description="condition on the parameters, such as `x^2 + y^2 <= 25`; also under `[space]`; not with method "
+        "`paper`",
+    )
+    candidates: int | None = Field(
+        default=None,
+        ge=2,
+        le=MOST_STARTS,
+        exclude_if=lambda candidates: candidates is None,
+        description="fixed starts of a Sobol sequence over the box, which the claim is then about; by default 4096 with"
+        " `rigorous` on more than 3 parameters or with `where`, 64 with `scenario` on ranges",
+    )
+    problems: tuple[Annotated[Problem, Field(discriminator="method")], ...] = Field(
+        min_length=1,
+        description="optimisation problems; a single `robustness` may have its keys at the top level",
+    )
+    claims: tuple[Asked, ...] = Field(
+        default=(),
+        max_length=100,
+        exclude_if=lambda claims: claims == (),
+        description="what is claimed, the answer to the question of the file first",
+    )
+
+    @field_validator("until_counterexample")
+    @classmethod
+    def _implied(cls, given: bool, info: ValidationInfo) -> bool:
+        return given or info.data.get("falsify") is not None
+
+    @property
+    def formula(self) -> str | None:
+        """The specification; of several requirements that every one of them holds."""
+        return conjunction(self.specifications) if self.specifications else self.specification
+
+    def claims_of(self, problem: Problem) -> tuple[DrawnClaim, ...]:
+        """Return what is claimed of drawn starts, the first claim first; empty for a problem that draws none.
+
+        What is asked is claimed of the whole specification, then of each requirement.
+        """
+        if not isinstance(problem, SampleProblem):
+            return ()
+        asked = drawn_claims(self.claims) or (ClaimRequest(quantity="failure_probability"),)
+        names = (None, *(each.name for each in self.specifications))
+        share = problem.delta / (len(asked) * len(names) if problem.jointly else 1)
+        return tuple(
+            DrawnClaim(each, each.failure_probability or share, name, place)
+            for each in asked
+            for place, name in enumerate(names)
+        )
+
+    def sense_of(self, problem: Problem) -> Sense:
+        """Return whether a problem bounds a minimum from below or a maximum from above."""
+        for claim in self.claims_of(problem)[:1]:
+            return "min" if SAMPLED[claim.asked.quantity].sense == ">=" else "max"
+        return OBJECTIVES[problem.name].sense
+
+    def gap_of(self, problem: Problem) -> Gap | None:
+        """Return the gap of one problem; None for one that compares no trajectories."""
+        return problem.gap or self.gap if OBJECTIVES[problem.name].measured == "gap" else None
+
+    def starts_of(self, problem: Problem) -> int | None:
+        """Return how many fixed starts of the box a problem chooses from; None for a lattice, a list and draws."""
+        resolution, region = self.resolution_of(problem), self.where is not None
+        return fixed_starts(problem.method, self.space, resolution, self.candidates, region=region)

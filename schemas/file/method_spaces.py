@@ -1,0 +1,157 @@
+"""The spaces that each method takes: one row for each name.
+
+A method that draws its starts takes distributions and a table; every check of this follows from its row.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from .objectives import MethodName, any_of
+from .parameters import parameter_ranges
+from .space import MAX_SCENARIOS, Space, SpaceKind, space_kind
+
+SPACES: Mapping[MethodName, tuple[SpaceKind, ...]] = {
+    "paper": ("box",),
+    "rigorous": ("box", "scenarios"),
+    "kriging": ("box",),
+    "scenario": ("scenarios", "box"),
+    # One kind for distributions, steps and choices: a method that takes one of them takes all.
+    "sample": ("box", "distributions", "table"),
+}
+"""The kinds of `[space]`; the first one is what an error asks for."""
+MAX_CANDIDATES = 100_000
+"""Nodes of the largest lattice; memory is O(tests x nodes)."""
+RESOLUTION = 21
+"""Lattice nodes per parameter, by default."""
+NODES: Mapping[MethodName, int] = {"kriging": 10_000}
+"""Nodes of the largest lattice of methods with another limit: kernel values in every cell are kept, 5 kB each."""
+LATTICE_PARAMETERS = 3
+"""A lattice of the default resolution covers a box of at most so many parameters."""
+MOST_STARTS = 5000
+"""Of the Sobol sequence; kernel rows over them are kept, 40 kB each."""
+
+
+class FixedStarts(NamedTuple):
+    """How many starts of the Sobol sequence a method chooses from."""
+
+    default: int
+    most: int
+
+
+FIXED_STARTS: Mapping[MethodName, FixedStarts] = {
+    "rigorous": FixedStarts(4096, MOST_STARTS),
+    # Without a kernel each start needs some tens of rollouts: the default of 2,000 tests has 31 for each of 64.
+    "scenario": FixedStarts(64, MAX_SCENARIOS),
+}
+"""The methods that choose from fixed starts where no lattice covers the box; `scenario` never has a lattice."""
+NEEDED: Mapping[SpaceKind, str] = {
+    "box": "a box under [space]: low and high per parameter",
+    "distributions": "ranges with distributions under [space]",
+    "scenarios": "a list of scenarios under [space]",
+    "table": "a table of starts under [space]",
+}
+
+
+def draws_starts(method: MethodName) -> bool:
+    """Whether the starts of a method are drawn from the distribution that `[space]` declares."""
+    return "distributions" in SPACES[method]
+
+
+def fixed_starts(method: MethodName, space: Space, resolution: int, chosen: int | None, *, region: bool) -> int | None:
+    """Return how many starts of the Sobol sequence a method chooses from; None for a lattice, a list and draws.
+
+    `chosen` is the key `candidates` of the file; `region`: `where` leaves a part of the box alone.
+
+    >>> from perfbound.schemas.file.space import Range
+    >>> box = {name: Range(low=0.0, high=1.0) for name in "abcd"}
+    >>> [fixed_starts("rigorous", box, each, None, region=False) for each in (21, 10)]
+    [4096, None]
+    """
+    known = FIXED_STARTS.get(method)
+    if known is None or not isinstance(space, dict):
+        return None
+    if chosen is not None:
+        return chosen
+    # A resolution that the file gives is a wish for a lattice, as before there were fixed starts.
+    large = len(parameter_ranges(space)) > LATTICE_PARAMETERS and resolution == RESOLUTION
+    return known.default if large or region or method == "scenario" else None
+
+
+def candidates(space: Space, resolution: int, starts: int | None) -> int:
+    """Return how many starts a method that draws none chooses from: `starts`, those of a list, or lattice nodes."""
+    if starts is not None:
+        return starts
+    return int(resolution ** len(parameter_ranges(space))) if isinstance(space, dict) else len(space.rows)
+
+
+def check_starts(method: MethodName, space: Space, chosen: int) -> None:
+    """Refuse the key `candidates` where it has no effect, or is too large.
+
+    Raises:
+        ValueError: one line with the key and the remedy.
+
+    """
+    known = FIXED_STARTS.get(method)
+    if known is None or not isinstance(space, dict):
+        raise ValueError(f"candidates: only for ranges, with method {any_of(tuple(FIXED_STARTS))}; remove this key")
+    if chosen > known.most:
+        raise ValueError(f"candidates: {chosen} is not allowed: method {method!r} takes at most {known.most}")
+
+
+def check_space(method: MethodName, space: Space, resolution: int, starts: int | None, where: str) -> None:
+    """Refuse a space that the method of the problem at `where` does not take, or a lattice that is too large.
+
+    Raises:
+        ValueError: it does not; one line with the key and the remedy.
+
+    """
+    kind = space_kind(space)
+    nodes, most = (
+        0 if draws_starts(method) else candidates(space, resolution, starts),
+        NODES.get(method, MAX_CANDIDATES),
+    )
+    if kind in SPACES[method] and nodes > most:
+        raise ValueError(f"{where}.resolution: {nodes} lattice nodes are more than the {most} allowed")
+    if kind in SPACES[method]:
+        return
+    drawing = tuple(name for name in SPACES if draws_starts(name))
+    otherwise = f", or choose method {any_of(drawing)}" if drawing else ""
+    if kind == "table":
+        raise ValueError(
+            f"space.table: not allowed with method {method!r}, which draws no starts; give a range per parameter or "
+            f"scenarios instead{otherwise}"
+        )
+    if kind == "distributions" and isinstance(space, dict):
+        name, given = next((name, each) for name, each in space.items() if each.for_draws)
+        raise ValueError(
+            f"space.{name}.{given.for_draws[0]}: not allowed with method {method!r}, which draws no starts; give low "
+            f"and high alone{otherwise}"
+        )
+    raise ValueError(f"{where}.{space_needed(method, kind)}")
+
+
+def space_needed(method: MethodName, kind: SpaceKind) -> str:
+    """Return the fault of a method that does not take a space of this kind, and the methods that do.
+
+    >>> space_needed("kriging", "scenarios").partition("; ")[2]
+    "for a list of scenarios under [space] choose 'rigorous' or 'scenario'"
+    """
+    others = any_of(tuple(name for name, kinds in SPACES.items() if kind in kinds))
+    return f"method: {method!r} needs {NEEDED[SPACES[method][0]]}; for {NEEDED[kind]} choose {others}"
+
+
+def check_region(method: MethodName, space: Space) -> None:
+    """Refuse `where` with a method that does not take it, or with a list.
+
+    Raises:
+        ValueError: one line with the remedy.
+
+    """
+    if not isinstance(space, dict):
+        raise ValueError("space.where: only for ranges; remove the starts from the list that it should leave out")
+    if not draws_starts(method) and method not in FIXED_STARTS:
+        others = tuple(name for name in SPACES if draws_starts(name) or name in FIXED_STARTS)
+        raise ValueError(
+            f"space.where: method {method!r} bounds the worst start of a whole box; remove where, or choose method "
+            f"{any_of(others)}"
+        )

@@ -1,0 +1,388 @@
+"""The system of a campaign file, and its space: all starting conditions of the claim."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from ..base import Model
+from ..ranges import SEED_BITS
+from ..system import AfterEnd, OptionValue, Variant
+from ..values import Stamps
+from .signals import MAX_KNOTS, SignalKind, least_knots
+
+MAX_SCENARIOS = 1000
+MAX_TABLE = 10_000
+"""Rows of a table of starts; the certificate contains them all."""
+MAX_CHOICES = 1000
+MAX_STEPS = 1_000_000
+SampleFormat = Literal["csv", "f64", "npy"]
+
+
+class ProgramLimits(Model):
+    """What a program may use; the kernel enforces it."""
+
+    memory: float = Field(default=4.0, gt=0, le=1e6, description="address space in GB")
+    cpu: float | None = Field(
+        default=None, ge=1, le=1e6, description="CPU seconds of one rollout; without it only `deadline` ends one"
+    )
+
+
+class SystemChoice(Model, extra="allow"):
+    """The system under test and its options, as its SystemSpec lists them; a program is described here itself."""
+
+    __pydantic_extra__: dict[str, OptionValue] = Field(init=False)
+    name: str = Field(
+        default="",
+        exclude_if=lambda name: name == "",
+        description="an installed system: `perfbound systems` lists them",
+    )
+    python: str | None = Field(
+        default=None,
+        pattern=r"^[^:]+\.py:[A-Za-z_][A-Za-z0-9_]*$",
+        description="FILE.py:NAME, a function or class in a file; its path is relative to the campaign file",
+    )
+
+    files: tuple[str, ...] | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        min_length=1,
+        max_length=1000,
+        description="of a function or a program: what its rollouts read; files, folders and patterns "
+        '("tables/*.csv"), relative to the campaign file',
+    )
+    stamps: Stamps | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="of a function or a program: sample times are numbers of a step, rounded to float32, or "
+        "sums with their round-off",
+    )
+    after_end: AfterEnd | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="of a function or a program: a rollout that ends before the horizon holds its last state,"
+        " or (`fail`) also violates the specification; without this key it is refused",
+    )
+    program: tuple[str, ...] | None = Field(
+        default=None,
+        min_length=1,
+        max_length=100,
+        description="a program and its arguments; it starts in the folder of the campaign file",
+    )
+    columns: dict[str, str] | None = Field(
+        default=None,
+        min_length=1,
+        description="of a program, required: columns of its samples in their order, with units, without `t`",
+    )
+    step: float | None = Field(
+        default=None, gt=0, description="of a program: s between two samples; without it their first column is `t`"
+    )
+    noisy: bool | tuple[Variant, ...] | None = Field(
+        default=None, description="of a program: the rollouts, or those of these variants, depend on the seed"
+    )
+    variants: tuple[Variant, ...] | None = Field(
+        default=None, min_length=1, description="of a program: by default `nominal` alone"
+    )
+    samples: SampleFormat | None = Field(
+        default=None, description="of a program: form of its samples; by default `csv`"
+    )
+    seed_bits: int | None = Field(
+        default=None, ge=31, le=SEED_BITS, description="of a program: seeds are below 2^seed_bits; by default 53"
+    )
+    limits: ProgramLimits | None = Field(default=None, description="of a program: what it may use")
+    environment: tuple[str, ...] | None = Field(
+        default=None, description="of a program: variables that it gets besides PATH, HOME and LANG"
+    )
+    empty_scratch: bool | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="of a program: PERFBOUND_SCRATCH, the folder of its worker, is emptied before every rollout",
+    )
+
+    @model_validator(mode="after")
+    def _one(self) -> "SystemChoice":
+        if [self.name != "", self.python is not None, self.program is not None].count(True) != 1:
+            raise ValueError(
+                'name: give one of name = "...", an installed system, python = "FILE.py:NAME", a function in a file, '
+                'and program = ["./NAME"]'
+            )
+        given = [key for key in SAID_OF_SYSTEMS if getattr(self, key) is not None]
+        if self.name and given:
+            raise ValueError(f"{given[0]}: an installed system says this itself, in its class: {given[0]} = ...")
+        if self.program is not None and self.columns is None:
+            raise ValueError('columns: required by a program: its columns with their units, { distance = "m" }')
+        given = [key for key in PROGRAM_KEYS if getattr(self, key) is not None]
+        if self.program is None and given:
+            raise ValueError(f"{given[0]}: this key is for a program alone")
+        return self
+
+    @property
+    def kind(self) -> Literal["name", "python", "program"]:
+        """The key that names the system."""
+        return "name" if self.name else "python" if self.python is not None else "program"
+
+    def reference(self, file: Path) -> str:
+        """Return the system as a worker finds it: its name, FILE.py:NAME, or the campaign file `file`.
+
+        That describes a program, and says what the function in a file does not say itself.
+        """
+        if self.python is not None and all(getattr(self, key) is None for key in SAID_OF_SYSTEMS):
+            return str(file.absolute().parent / self.python)
+        return self.name or str(file.absolute())
+
+    @property
+    def options(self) -> dict[str, OptionValue]:
+        """The options that the file sets."""
+        return dict(self.__pydantic_extra__ or {})
+
+
+SAID_OF_SYSTEMS = ("files", "stamps", "after_end")
+"""Keys of `[system]` that say more of a function in a file, or of a program."""
+PROGRAM_KEYS = (
+    "columns",
+    "step",
+    "noisy",
+    "variants",
+    "samples",
+    "seed_bits",
+    "limits",
+    "environment",
+    "empty_scratch",
+)
+"""Keys of `[system]` that describe a program."""
+
+
+DistributionName = Literal["uniform", "normal", "lognormal", "triangular", "weibull"]
+DISTRIBUTIONS: Mapping[DistributionName, tuple[str, ...]] = {
+    "uniform": (),
+    "normal": ("mean", "sd"),
+    "lognormal": ("median", "sigma"),
+    "triangular": ("mode",),
+    "weibull": ("shape", "scale"),
+}
+"""The keys that describe each distribution; all of them are required."""
+POSITIVE: frozenset[DistributionName] = frozenset({"lognormal", "weibull"})
+"""Distributions of positive numbers alone."""
+
+
+def _described(text: str, *, gt: float | None = None) -> Any:
+    # Written only where given: the texts of campaigns without distributions stay what they were, to the byte.
+    return Field(default=None, exclude_if=lambda value: value is None, description=text, gt=gt)
+
+
+class Range(Model):
+    """All values of one parameter of the starting condition d, and how a drawn start is distributed over them.
+
+    The distribution is that of the keys, truncated to [low, high]. With steps, each value has the probability of the
+    numbers that are nearer to it than to its neighbours, in a range that is longer by half a step at both ends.
+    """
+
+    low: float = Field(description="smallest value")
+    high: float = Field(description="largest value")
+    unit: str = Field(default="", description="if given, must be that of the system's parameter")
+    distribution: DistributionName = Field(
+        default="uniform",
+        exclude_if=lambda name: name == "uniform",
+        description="of drawn starts, truncated to [low, high]",
+    )
+    mean: float | None = _described("of `normal`")
+    sd: float | None = _described("of `normal`: standard deviation", gt=0)
+    median: float | None = _described("of `lognormal`", gt=0)
+    sigma: float | None = _described("of `lognormal`: standard deviation of the natural logarithm, without unit", gt=0)
+    mode: float | None = _described("of `triangular`: the most frequent value; the ends are `low` and `high`")
+    shape: float | None = _described("of `weibull`: k; 1 is exponential, 2 Rayleigh", gt=0)
+    scale: float | None = _described("of `weibull`: the value that 63.2 % do not exceed", gt=0)
+
+    step: float | None = _described("drawn values are `low`, `low` + step, ... `high`; 1 for integers", gt=0)
+    choices: tuple[float, ...] | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        min_length=2,
+        max_length=MAX_CHOICES,
+        description="all values, instead of `low` and `high`; drawn with equal probabilities",
+    )
+    signal: SignalKind | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="an input over time through `knots` values: smooth and monotone between knots, linear, or constant "
+        "until the next one",
+    )
+    knots: int | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        ge=1,
+        le=MAX_KNOTS,
+        description="of `signal`, required: values at equal distances over [0, horizon]; each is a parameter NAME_0, "
+        "NAME_1, ...",
+    )
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "Range":
+        if self.choices is not None:
+            self._check_choices(self.choices)
+        if not self.low < self.high:
+            raise ValueError(f"low: {self.low:g} must be less than high = {self.high:g}")
+        if self.step is not None and not 1 <= self.steps <= MAX_STEPS:
+            raise ValueError(
+                f"step: {self.step:g} is not allowed: allowed are 1 to {MAX_STEPS} steps from {self.low:g} to "
+                f"{self.high:g}"
+            )
+        if self.step is not None and abs(self.steps * self.step - (self.high - self.low)) > 1e-9 * self.step:
+            raise ValueError(
+                f"step: {self.step:g} must divide high - low = {self.high - self.low:g}; choose another step or end"
+            )
+        return self
+
+    def _check_choices(self, choices: tuple[float, ...]) -> None:
+        for value in choices:
+            if choices.count(value) > 1:
+                raise ValueError(f"choices: {value:g} is there twice; list each value once")
+        for key, value in (("low", min(choices)), ("high", max(choices))):
+            if getattr(self, key) != value:
+                raise ValueError(f"{key}: follows from choices, {value:g}; remove this key")
+        if self.step is not None or self.distribution != "uniform":
+            other = "step" if self.step is not None else "distribution"
+            raise ValueError(f"choices: not allowed beside {other}; remove one of the two")
+
+    @model_validator(mode="after")
+    def _distributed(self) -> "Range":
+        wanted = DISTRIBUTIONS[self.distribution]
+        for name, keys in DISTRIBUTIONS.items():
+            for key in keys:
+                if key not in wanted and getattr(self, key) is not None:
+                    raise ValueError(
+                        f"{key}: belongs to distribution {name!r}, and this one is {self.distribution!r}; "
+                        f'remove this key, or give distribution = "{name}"'
+                    )
+        for key in wanted:
+            if getattr(self, key) is None:
+                raise ValueError(f"{key}: required by distribution {self.distribution!r}; give {' and '.join(wanted)}")
+        if self.distribution in POSITIVE and self.low < 0:
+            raise ValueError(
+                f"low: {self.low:g} is not allowed: distribution {self.distribution!r} has positive values alone; give "
+                "a number >= 0"
+            )
+        if self.mode is not None and not self.low <= self.mode <= self.high:
+            raise ValueError(
+                f"mode: {self.mode:g} is not allowed: allowed is a number in [{self.low:g}, {self.high:g}]"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _with_knots(self) -> "Range":
+        if self.signal is None and self.knots is not None:
+            raise ValueError('knots: needs signal = "pchip", "linear" or "constant"; give one, or remove this key')
+        if self.signal is not None and (self.knots or 0) < least_knots(self.signal):
+            raise ValueError(
+                f"knots: required by signal {self.signal!r}; give a whole number >= {least_knots(self.signal)}"
+            )
+        return self
+
+    @property
+    def described(self) -> dict[str, float]:
+        """The keys of the distribution with their values."""
+        return {key: getattr(self, key) for key in DISTRIBUTIONS[self.distribution]}
+
+    @property
+    def steps(self) -> int:
+        """Number of steps from `low` to `high`; 0 without steps."""
+        # Of a step that is far too small as many as are refused.
+        return round(min((self.high - self.low) / self.step, 2.0 * MAX_STEPS)) if self.step else 0
+
+    @property
+    def for_draws(self) -> tuple[str, ...]:
+        """The keys that only a method that draws its starts takes."""
+        given = [key for key in ("step", "choices") if getattr(self, key) is not None]
+        return (*(["distribution", *self.described] if self.distribution != "uniform" else []), *given)
+
+
+Header = Annotated[
+    tuple[str, ...] | None,
+    # No part of the campaign, which is the same one without a header.
+    Field(exclude=True, description="words above the columns; a parameter's name has to be above its own column"),
+]
+
+
+class Scenarios(Model):
+    """Finitely many starting conditions; the claim is about these alone."""
+
+    scenarios: tuple[tuple[float, ...], ...] = Field(
+        min_length=1,
+        max_length=MAX_SCENARIOS,
+        description="starts, one number per parameter of the system; or the name of a CSV file beside this one",
+    )
+    header: Header = None
+
+    @model_validator(mode="after")
+    def _distinct(self) -> "Scenarios":
+        seen: dict[tuple[float, ...], int] = {}
+        for number, scenario in enumerate(self.scenarios):
+            if len(scenario) != len(self.scenarios[0]):
+                numbers = f"{len(scenario)} numbers, the first {len(self.scenarios[0])}"
+                raise ValueError(f"scenarios: entry {number} has {numbers}")
+            if scenario in seen:
+                raise ValueError(f"scenarios: entries {seen[scenario]} and {number} are the same, {list(scenario)}")
+            seen[scenario] = number
+        return self
+
+    @property
+    def rows(self) -> tuple[tuple[float, ...], ...]:
+        """The starts, parameters in the order of the system."""
+        return self.scenarios
+
+
+class StartTable(Model):
+    """A table of starts, drawn with replacement: a row that is there twice is drawn twice as often."""
+
+    table: tuple[tuple[float, ...], ...] = Field(
+        min_length=1,
+        max_length=MAX_TABLE,
+        description="the name of a CSV file beside this one, or its rows, one number per parameter of the system",
+    )
+    header: Header = None
+
+    @model_validator(mode="after")
+    def _rectangular(self) -> "StartTable":
+        width = len(self.table[0])
+        for number, row in enumerate(self.table):
+            if not row or len(row) != width:
+                raise ValueError(
+                    f"table: row {number} has {len(row)} numbers, the first {width}; give one per parameter in each row"
+                )
+        return self
+
+    @property
+    def rows(self) -> tuple[tuple[float, ...], ...]:
+        """The starts, parameters in the order of the system."""
+        return self.table
+
+
+Box = dict[str, Range]
+SpaceKind = Literal["box", "distributions", "scenarios", "table"]
+"""Ranges alone, ranges of which one has a distribution, steps or choices, a list of all starts, starts to draw from."""
+
+
+def _space_model(value: Any) -> str:
+    if isinstance(value, Scenarios) or (isinstance(value, dict) and "scenarios" in value):
+        return "scenarios"
+    # A parameter may be called `table`: its value is a range.
+    listed = isinstance(value, dict) and "table" in value and not isinstance(value["table"], dict | Range)
+    return "table" if isinstance(value, StartTable) or listed else "box"
+
+
+Space = Annotated[
+    Annotated[Box, Tag("box"), Field(min_length=1)]
+    | Annotated[Scenarios, Tag("scenarios")]
+    | Annotated[StartTable, Tag("table")],
+    Discriminator(_space_model),
+]
+
+
+def space_kind(space: Space) -> SpaceKind:
+    """Return the kind of a space."""
+    if isinstance(space, Scenarios):
+        return "scenarios"
+    if isinstance(space, StartTable):
+        return "table"
+    return "distributions" if any(each.for_draws for each in space.values()) else "box"

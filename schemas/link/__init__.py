@@ -1,0 +1,1 @@
+"""What crosses the Zenoh link: messages, key expressions, seals, the files of TLS, refusals."""

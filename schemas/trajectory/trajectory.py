@@ -1,0 +1,397 @@
+"""The trajectory and its file: the only importer of mcap.
+
+A file contains the evidence (attachment `trajectory.npy`, attachment `request.json`, one metadata record) and, if the
+trajectory has a `Visual`, a visual part: at 30 Hz (channels /tf, /scene, /solids, /state and /log), or one channel
+of numbers for each column. Nothing in it depends on the clock or the host: the same rollout gives the same
+bytes.
+
+| symbol | meaning | shape, unit |
+|---|---|---|
+| T | samples of a trajectory | |
+| n | columns, the first one is the time `t` | |
+| F | frames of the visual part, 30 per second | |
+"""
+
+import copy
+import io
+import itertools
+import json
+import re
+import struct
+import threading
+import zlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, ChunkIndex, DataEnd, McapRecord, Metadata, Schema, Statistics
+from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
+from numpy.typing import NDArray
+
+from ..base import canonical_json
+from ..errors import TrajectoryError, UnusableTrajectoryError
+from ..instants import disorder
+from ..real_numbers import real_array
+from . import plots
+from .canonical import EVIDENCE, LIBRARY, MAGIC, MEDIA_TYPES, RECORD, REQUEST, Evidence, canonical_evidence
+from .file_checks import check_checksums, check_length, check_sizes
+from .visual import Floats, Transform, Visual, channels
+
+__all__ = [
+    "File",
+    "Floats",
+    "Trajectory",
+    "TrajectoryError",
+    "Transform",
+    "Visual",
+    "decode",
+    "encode",
+    "read_canonical",
+    "read_mcap",
+]
+
+FRAME_RATE = 30  # 1/s
+CHUNK_BYTES = 65536
+PLOT_LEVEL = -1  # of zstd: two thirds of the time of its default, and here 7 % smaller
+MAX_NPY_HEADER = 128
+
+_DATA_END = struct.Struct("<BQI")  # opcode, length, crc of everything before
+_FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, of its offsets, crc of the summary
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """The columns of one rollout over time; `samples` becomes float64, C order and read-only.
+
+    Raises:
+        ValueError: the first column is not `t`, a name is double, the shape is wrong, a number is not finite, or the
+            time is negative or decreases. Equal times are a jump, and have two states.
+
+    """
+
+    columns: tuple[str, ...]
+    samples: Floats  # (T, n)
+    visual: Visual | None = None
+
+    def __post_init__(self) -> None:
+        try:
+            samples = np.array(real_array(self.samples), order="C")
+        except ValueError as error:
+            raise ValueError(f"samples: an array that {error}") from None
+        samples.flags.writeable = False
+        object.__setattr__(self, "samples", samples)
+        _check_columns(self.columns)
+        _check_samples(samples, self.columns)
+        self._check_frames()
+
+    def _check_frames(self) -> None:
+        for transform in self.visual.transforms if self.visual else ():
+            if len(transform) != len(self.frames):
+                raise ValueError(f"transform {transform.child} has {len(transform)} frames, not {len(self.frames)}")
+
+    def showing(self, visual: Visual) -> "Trajectory":
+        """Return this trajectory with a visual part.
+
+        Raises:
+            ValueError: a transform has another number of frames.
+
+        """
+        shown = copy.copy(self)  # without a second check of the samples, which are read-only
+        object.__setattr__(shown, "visual", visual)
+        shown._check_frames()
+        return shown
+
+    def __repr__(self) -> str:
+        """Return the number of samples, their times, and the columns."""
+        t = self.samples[:, 0]
+        return f"<Trajectory of {len(t)} samples, {t[0]:g} to {t[-1]:g} s: {', '.join(self.columns[1:])}>"
+
+    def column(self, name: str) -> Floats:
+        """Return one column, shape (T,).
+
+        Raises:
+            KeyError: there is no such column.
+
+        """
+        if name not in self.columns:
+            raise KeyError(f"no column {name!r}; there are {', '.join(self.columns)}")
+        return self.samples[:, self.columns.index(name)]
+
+    @property
+    def frames(self) -> NDArray[np.intp]:
+        """Rows of the visual part: the first one at or after each 1/30 s, shape (F,)."""
+        t = self.samples[:, 0]
+        count = int((t[-1] - t[0]) * FRAME_RATE + 1e-6) + 1
+        wanted = t[0] + np.arange(count) / FRAME_RATE
+        rows: NDArray[np.intp] = np.minimum(np.searchsorted(t, wanted - 1e-9), len(t) - 1)
+        return rows
+
+
+@dataclass(frozen=True, eq=False)
+class File:
+    """The content of a trajectory's file, without its visual part."""
+
+    trajectory: Trajectory
+    request: dict[str, Any]
+    metadata: dict[str, str]
+
+
+def encode(
+    trajectory: Trajectory, *, request: Mapping[str, Any], metadata: Mapping[str, str], units: Mapping[str, str]
+) -> bytes:
+    """Return the trajectory's file: equal arguments give equal bytes.
+
+    `units` names the unit of each column; the metadata record is `metadata` and the list of columns.
+
+    Raises:
+        ValueError: `request` contains a number that is not finite, `units` lacks a column, or the name of a visible
+            column is no name of a protobuf field.
+
+    """
+    if missing := set(trajectory.columns) - set(units):
+        raise ValueError(f"no unit for {', '.join(sorted(missing))}")
+    out = io.BytesIO()
+    visual = trajectory.visual
+    plotted = visual is not None and visual.plots
+    writer = Writer(
+        out,
+        chunk_size=CHUNK_BYTES,
+        use_statistics=not plotted,
+        use_summary_offsets=not plotted,
+        enable_data_crcs=True,
+    )
+    writer.start(profile="", library=LIBRARY)
+    record = {**metadata, "columns": json.dumps(trajectory.columns)}
+    writer.add_metadata(RECORD, dict(sorted(record.items())))
+    writer.add_attachment(0, 0, REQUEST, MEDIA_TYPES[REQUEST], canonical_json(dict(request)).encode())
+    writer.add_attachment(0, 0, EVIDENCE, MEDIA_TYPES[EVIDENCE], _npy(trajectory.samples))
+    if visual is not None and not plotted:
+        _write_visual(writer, trajectory, visual, units)
+    writer.finish()  # type: ignore[no-untyped-call]
+    return _plotted(out.getvalue(), trajectory, units) if plotted else out.getvalue()
+
+
+def decode(data: bytes) -> Trajectory:
+    """Return the trajectory in a file.
+
+    Raises:
+        TrajectoryError: as `read_mcap`.
+
+    """
+    return read_mcap(data).trajectory
+
+
+def read_canonical(data: bytes, *, visual: bool) -> File:
+    """Return the evidence in the one file that `encode` writes for it; with `visual` it may have a visual part.
+
+    Raises:
+        TrajectoryError: as `read_mcap`, or the file is written otherwise.
+
+    """
+    return _file_of(data, lambda whole: canonical_evidence(whole, visual=visual), canonical=True)
+
+
+def read_mcap(data: bytes) -> File:
+    """Return the evidence in a trajectory's file, without its visual part.
+
+    Every byte is covered by a checksum that is verified here, and nothing larger than the file is allocated.
+
+    Raises:
+        UnusableTrajectoryError: the file is intact, but `Trajectory` refuses its content.
+        TrajectoryError: the file is damaged, cut, too large or incomplete.
+
+    """
+    return _file_of(data, _evidence_records)
+
+
+def _file_of(data: bytes, evidence: Callable[[bytes], Evidence], *, canonical: bool = False) -> File:
+    try:
+        check_checksums(data)
+        check_sizes(data)
+        record, attachments = evidence(data)
+        columns = json.loads(record["columns"])
+        if not isinstance(columns, list) or not all(isinstance(name, str) for name in columns):
+            raise TrajectoryError("the columns are not a list of names")
+        if canonical and record["columns"] != json.dumps(columns):
+            raise TrajectoryError("the list of columns is not written as perfbound writes it")
+        check_length(REQUEST, attachments[REQUEST])
+        request = json.loads(attachments[REQUEST])
+        if not isinstance(request, dict) or canonical_json(request).encode() != attachments[REQUEST]:
+            raise TrajectoryError(f"{REQUEST} is not an object, written as perfbound writes it")
+        return File(_usable(tuple(columns), _from_npy(attachments[EVIDENCE])), request, record)
+    except (McapError, ValueError, KeyError, struct.error, OverflowError, RecursionError, MemoryError) as error:
+        raise TrajectoryError(f"not a trajectory file: {type(error).__name__}: {error}") from error
+
+
+def _usable(columns: tuple[str, ...], samples: Floats) -> Trajectory:
+    try:
+        return Trajectory(columns, samples)
+    except ValueError as error:
+        raise UnusableTrajectoryError(f"not a usable trajectory: {error}") from None
+
+
+def _check_columns(columns: tuple[str, ...]) -> None:
+    if len(columns) < 2 or columns[0] != "t" or len(set(columns)) != len(columns):
+        raise ValueError(f"columns must be distinct, 't' first and at least two: {columns}")
+
+
+def _check_samples(samples: Floats, columns: tuple[str, ...]) -> None:
+    if samples.ndim != 2 or samples.shape[1] != len(columns) or not len(samples):
+        raise ValueError(f"samples have shape {samples.shape} for {len(columns)} columns")
+    if not np.isfinite(samples).all():
+        finite = np.isfinite(samples)
+        row = int(np.argmin(finite.all(axis=1)))
+        column = int(np.argmin(finite[row]))
+        at = f"t = {samples[row, 0]:g} s, " if column else ""
+        raise ValueError(
+            f"samples are not finite: {columns[column]} is {samples[row, column]} at {at}row {row}; fix the arithmetic "
+            "there (a division by 0, an overflow, an unstable step), or keep the system out of this start"
+        )
+    if fault := disorder(samples):
+        raise ValueError(fault)
+
+
+def _npy(samples: Floats) -> bytes:
+    out = io.BytesIO()
+    np.lib.format.write_array(out, samples, version=(1, 0), allow_pickle=False)
+    return out.getvalue()
+
+
+def _from_npy(data: bytes) -> Floats:
+    """Return the array (a view of `data`) of an npy file that is written as `_npy` writes it.
+
+    numpy's own reader passes the header to a parser of Python, and allocates whatever shape it claims.
+    """
+    found = _SHAPE.search(data[:MAX_NPY_HEADER])
+    if found is None:
+        raise TrajectoryError(f"{EVIDENCE} is not a matrix of float64 as perfbound writes it")
+    shape = (int(found[1]), int(found[2]))
+    header = _npy_header(*shape)
+    if not data.startswith(header) or len(data) - len(header) != shape[0] * shape[1] * 8:
+        raise TrajectoryError(f"{EVIDENCE} claims the shape {shape} for {len(data)} bytes")
+    return np.frombuffer(data, dtype=np.float64, offset=len(header)).reshape(shape)
+
+
+_SHAPE = re.compile(rb"'shape': \((\d{1,9}), (\d{1,5})\)")
+
+
+@lru_cache(maxsize=64)
+def _npy_header(rows: int, columns: int) -> bytes:
+    out = io.BytesIO()
+    shape = {"descr": "<f8", "fortran_order": False, "shape": (rows, columns)}
+    np.lib.format.write_array_header_1_0(out, shape)
+    return out.getvalue()
+
+
+def _evidence_records(data: bytes) -> Evidence:
+    """Return the metadata record and both attachments, which precede the chunks of the visual part."""
+    # Not `validate_crcs`: every byte has been checked, and this reader would add up its checksum read by read.
+    reader = StreamReader(io.BytesIO(data), emit_chunks=True, record_size_limit=len(data))
+    first = itertools.takewhile(lambda record: not isinstance(record, Chunk | DataEnd), reader.records)
+    records: list[McapRecord] = list(first)
+    metadata = [record.metadata for record in records if isinstance(record, Metadata)]
+    attachments = [record for record in records if isinstance(record, Attachment)]
+    names = sorted(record.name for record in attachments)
+    if len(metadata) != 1 or names != sorted((EVIDENCE, REQUEST)):
+        raise TrajectoryError(
+            f"{len(metadata)} metadata records and the attachments {names}, not one record and the two of perfbound"
+        )
+    return metadata[0], {record.name: record.data for record in attachments}
+
+
+def _write_visual(writer: Writer, trajectory: Trajectory, visual: Visual, units: Mapping[str, str]) -> None:
+    shown = {name: units[name] for name in trajectory.columns}
+    schemas: dict[str, int] = {}
+    messages: list[tuple[int, int, bytes]] = []
+    for each in channels(visual, trajectory.samples[trajectory.frames], shown):
+        if each.kind.full_name not in schemas:
+            schemas[each.kind.full_name] = writer.register_schema(each.kind.full_name, "protobuf", each.definition)
+        channel = writer.register_channel(each.topic, "protobuf", schemas[each.kind.full_name], dict(each.metadata))
+        messages += [(time, channel, data) for time, data in each.messages]
+    messages.sort(key=lambda message: message[:2])
+    for time, channel, data in messages:
+        writer.add_message(channel, time, data, time)
+
+
+def _plotted(file: bytes, trajectory: Trajectory, units: Mapping[str, str]) -> bytes:
+    """Return a file of evidence alone with a channel for each column: one chunk, and a summary that has it."""
+    footer = len(file) - len(MAGIC) - _FOOTER.size
+    summary = _FOOTER.unpack_from(file, footer)[2]
+    evidence, indexes = file[: summary - _DATA_END.size], file[summary:footer]
+    names = plots.shown(trajectory.columns)
+    channels = _plot_channels(tuple((name, units[name]) for name in names))
+    found = plots.messages(trajectory.samples, len(channels))
+    content = channels + found.records
+    packed = _zstd().compress(content)
+    chunk = _records(
+        Chunk(
+            compression="zstd",
+            data=packed,
+            message_start_time=found.first,
+            message_end_time=found.last,
+            uncompressed_crc=zlib.crc32(content),
+            uncompressed_size=len(content),
+        )
+    )
+    start = len(evidence) + len(chunk)
+    places = {1 + k: start + k * len(index) for k, index in enumerate(found.indexes)}
+    statistics = Statistics(
+        attachment_count=2,
+        channel_count=len(names),
+        channel_message_counts=dict.fromkeys(places, found.each),
+        chunk_count=1,
+        message_count=found.each * len(names),
+        message_start_time=found.first,
+        message_end_time=found.last,
+        metadata_count=1,
+        schema_count=1,
+    )
+    index = ChunkIndex(
+        chunk_length=len(chunk),
+        chunk_start_offset=len(evidence),
+        compression="zstd",
+        compressed_size=len(packed),
+        message_start_time=found.first,
+        message_end_time=found.last,
+        message_index_length=sum(map(len, found.indexes)),
+        message_index_offsets=places,
+        uncompressed_size=len(content),
+    )
+    data = b"".join([evidence, chunk, *found.indexes])
+    data += _DATA_END.pack(Opcode.DATA_END, 4, zlib.crc32(data))
+    end = channels + _records(statistics, index) + indexes + _FOOTER.pack(Opcode.FOOTER, 20, len(data), 0, 0)[:-4]
+    return data + end + zlib.crc32(end).to_bytes(4, "little") + MAGIC
+
+
+def _zstd() -> zstandard.ZstdCompressor:
+    # One for each thread, of which none may use that of another: making one takes as long as its work here.
+    if not hasattr(_of_thread, "zstd"):
+        _of_thread.zstd = zstandard.ZstdCompressor(level=PLOT_LEVEL)
+    found: zstandard.ZstdCompressor = _of_thread.zstd
+    return found
+
+
+_of_thread = threading.local()
+
+
+@lru_cache(maxsize=64)
+def _plot_channels(units: tuple[tuple[str, str], ...]) -> bytes:
+    """Return the records of the message type and of the channels, for columns with their units."""
+    kind = Schema(id=1, name=plots.MESSAGE, encoding=plots.SCHEMA_ENCODING, data=plots.DEFINITION)
+    numbered = enumerate(units, start=1)
+    return _records(kind, *(Channel(k, f"/{name}", plots.ENCODING, {"unit": unit}, 1) for k, (name, unit) in numbered))
+
+
+def _records(*records: Schema | Channel | Chunk | Statistics | ChunkIndex) -> bytes:
+    out = RecordBuilder()
+    for record in records:
+        record.write(out)
+    found: bytes = out.end()  # type: ignore[no-untyped-call]
+    return found
