@@ -144,7 +144,7 @@ explore: $(INSTALLED)-dev ## Property tests with new random cases, many of them
 
 FUZZ ?= 100000
 fuzz: $(INSTALLED)-dev ## Random and mutated bytes at every border (FUZZ=100000 of each, fewer of costly ones; prints the sum)
-	PERFBOUND_FUZZ=$(FUZZ) $(BIN)/python -m pytest -q --timeout 0 tests/fuzz tests/unit/fleet/test_fuzz_border.py
+	PERFBOUND_FUZZ=$(FUZZ) $(BIN)/python -m pytest -q --timeout 0 tests/fuzz tests/unit/fleet/link/test_fuzz_border.py
 
 MINUTES ?= 10
 SEED ?= 1

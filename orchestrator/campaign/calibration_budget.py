@@ -20,8 +20,8 @@ import numpy as np
 
 from ...schemas.file.config import CampaignConfig
 from ...schemas.values import Guess
-from ..mathematics.bounds.kriging_design import points_per_parameter
-from ..mathematics.bounds.kriging_method import KrigingMethod
+from ..mathematics.bounds.kriging.design import points_per_parameter
+from ..mathematics.bounds.kriging.method import KrigingMethod
 from ..mathematics.calibration.kernel_fit import KernelFit
 from ..mathematics.gp.kernels import Floats
 from .calibration import Constant, ProblemEvidence

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...schemas.file.config import CampaignConfig
 from ...schemas.values import Bound, Observation
-from ..mathematics.bounds.rigorous import ExhaustedError, RigorousMethod
+from ..mathematics.bounds.rigorous.method import ExhaustedError, RigorousMethod
 from ..mathematics.calibration.kernel_fit import KernelFit
 from ..mathematics.gp.kernels import Floats
 from .calibration import Constant, ProblemEvidence

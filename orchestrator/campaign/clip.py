@@ -21,7 +21,7 @@ from ...schemas.file.drawn_claims import ClaimRequest
 from ...schemas.file.objectives import OBJECTIVES, Reading
 from ...schemas.file.problem_models import Problem
 from ...schemas.system import AfterEnd
-from ..mathematics.bounds.risk import RiskReading
+from ..mathematics.bounds.one_law.risk import RiskReading
 from ..mathematics.bounds.rounding import round_down, round_up
 from ..mathematics.stl.parser import parse_formula
 from ..mathematics.stl.reach import ANY, Range, reach

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from ...schemas.file.objectives import OBJECTIVES, replicates_are_robustness
 from ...schemas.file.problem_models import KernelProblem, PaperProblem, Problem, RigorousProblem
 from ...schemas.system import SystemSpec
-from ..mathematics.bounds.audit import replicate_spread
+from ..mathematics.bounds.checks.audit import replicate_spread
 from ..mathematics.gp.lattice import Lattice
 from .plan import Plans, ProblemPlan, bounded_plans
 

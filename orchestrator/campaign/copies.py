@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from ...schemas.ids import RolloutId
 from ...schemas.trajectory.trajectory import Trajectory
-from ..mathematics.bounds.copied_blocks import CopiedBlocks
+from ..mathematics.bounds.checks.copied_blocks import CopiedBlocks
 from .account import Account
 
 MOST = 200

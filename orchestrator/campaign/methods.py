@@ -16,14 +16,14 @@ from ...schemas.file.problem_models import (
     ScenarioProblem,
 )
 from ...schemas.result.facts import Header
-from ..mathematics.bounds.confidence import Premises, mixture
 from ..mathematics.bounds.joint import JointMethod
-from ..mathematics.bounds.kriging import KrigingPremises
-from ..mathematics.bounds.kriging_design import points_per_parameter
-from ..mathematics.bounds.kriging_method import KrigingBudget, KrigingMethod
-from ..mathematics.bounds.paper import PaperMethod
-from ..mathematics.bounds.paper_formulas import PaperParameters
-from ..mathematics.bounds.rigorous import RigorousMethod
+from ..mathematics.bounds.kriging.bound import KrigingPremises
+from ..mathematics.bounds.kriging.design import points_per_parameter
+from ..mathematics.bounds.kriging.method import KrigingBudget, KrigingMethod
+from ..mathematics.bounds.paper.formulas import PaperParameters
+from ..mathematics.bounds.paper.method import PaperMethod
+from ..mathematics.bounds.rigorous.confidence import Premises, mixture
+from ..mathematics.bounds.rigorous.method import RigorousMethod
 from ..mathematics.bounds.sample import SampleMethod, Terms
 from ..mathematics.bounds.scenario import Risk, ScenarioMethod
 from ..mathematics.gp.kernels import Matern

@@ -11,7 +11,7 @@ from ...schemas.system import SystemSpec
 from ...schemas.trajectory.early_end import end_of
 from ...schemas.trajectory.trajectory import Trajectory
 from ...schemas.values import Observation
-from ..mathematics.bounds.risk import linearised
+from ..mathematics.bounds.one_law.risk import linearised
 from ..mathematics.stl.parser import Formula, parse_formula
 from ..mathematics.stl.predicates import predicate_sup
 from ..mathematics.stl.robustness import Evaluated

@@ -13,7 +13,7 @@ from ...schemas.file.problem_models import Falsify, Gap, PaperProblem, Problem, 
 from ...schemas.file.space import Scenarios, StartTable
 from ...schemas.system import SystemSpec, Variant
 from ..mathematics.bounds.composition import derived_noise_scale
-from ..mathematics.bounds.risk import least_without_risk, linearised_range
+from ..mathematics.bounds.one_law.risk import least_without_risk, linearised_range
 from ..mathematics.bounds.rounding import round_up
 from ..mathematics.gp.lattice import Lattice
 from ..mathematics.gp.points import Points

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...schemas.values import Guess, ProblemProgress
-from ..mathematics.bounds.kriging_method import KrigingMethod
+from ..mathematics.bounds.kriging.method import KrigingMethod
 from ..mathematics.gp.kernels import Floats
 from .methods import ProblemMethod
 from .outlook import MORE

@@ -13,7 +13,7 @@ from ...schemas.ids import RISK_CHECK, RolloutId, of_extension
 from ...schemas.result.facts import BoundFact, Header, ObservationFact, ProposalFact
 from ...schemas.trajectory.trajectory import Trajectory
 from ...schemas.values import Bound, Observation, Proposal
-from ..mathematics.bounds.risk_upper import RiskUpperBound
+from ..mathematics.bounds.one_law.risk_upper import RiskUpperBound
 from . import state
 from .decisions import UNOBSERVABLE, naming
 from .observation import Others, Trajectories

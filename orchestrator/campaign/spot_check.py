@@ -11,8 +11,8 @@ from ...schemas.ids import SPOT_CHECK, RolloutId, of_extension
 from ...schemas.result.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
 from ...schemas.trajectory.trajectory import Trajectory
 from ...schemas.values import Bound, Observation
+from ..mathematics.bounds.checks.spot_check import Hypothesis, SpotFinding, SpotTests
 from ..mathematics.bounds.rounding import round_up
-from ..mathematics.bounds.spot_check import Hypothesis, SpotFinding, SpotTests
 from ..mathematics.gp.lattice import Lattice
 from . import state
 from .account import Account

@@ -8,9 +8,9 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from ..mathematics.bounds import audit
-from ..mathematics.bounds.audit import Finding
-from ..mathematics.bounds.stationarity import AdaptiveOrderTest
+from ..mathematics.bounds.checks import audit
+from ..mathematics.bounds.checks.audit import Finding
+from ..mathematics.bounds.checks.stationarity import AdaptiveOrderTest
 from .account import Account
 from .plan import ProblemPlan
 

@@ -23,10 +23,10 @@ from ..campaign.plan import UNBOUNDED, ProblemPlan
 from ..campaign.series import Remarked
 from ..campaign.spot_check import SpotSeries
 from ..campaign.tested import is_dominated, same_values, spread
-from ..mathematics.bounds import audit
-from ..mathematics.bounds.kriging_method import KrigingMethod
-from ..mathematics.bounds.paper_formulas import mills_probability
-from ..mathematics.bounds.rigorous import RigorousMethod
+from ..mathematics.bounds.checks import audit
+from ..mathematics.bounds.kriging.method import KrigingMethod
+from ..mathematics.bounds.paper.formulas import mills_probability
+from ..mathematics.bounds.rigorous.method import RigorousMethod
 from ..mathematics.gp.lattice import Lattice
 from .kriging_assumptions import kriging_assumptions
 from .sampled_assumptions import sampled_assumptions

@@ -19,7 +19,7 @@ from ..mathematics.bounds.composition import (
     least_risk,
     pointwise_mean,
 )
-from ..mathematics.bounds.rigorous import RigorousMethod
+from ..mathematics.bounds.rigorous.method import RigorousMethod
 from ..mathematics.bounds.rounding import round_down, round_up
 from ..mathematics.bounds.sample import SampleMethod
 from .bases import Basis, bases

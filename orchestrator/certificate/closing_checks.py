@@ -9,10 +9,10 @@ from ..campaign.objectives import mean
 from ..campaign.plan import ProblemPlan
 from ..campaign.risk_check import RiskCheck
 from ..campaign.spot_check import SpotCheck, SpotSeries, tested_variant
-from ..mathematics.bounds.predictable import CvarSequence
+from ..mathematics.bounds.checks.spot_check import SpotFinding
+from ..mathematics.bounds.one_law.predictable import CvarSequence
+from ..mathematics.bounds.one_law.share import clopper_pearson_upper, quantile_lower, unseen_share
 from ..mathematics.bounds.rounding import round_up
-from ..mathematics.bounds.share import clopper_pearson_upper, quantile_lower, unseen_share
-from ..mathematics.bounds.spot_check import SpotFinding
 
 SHARE = 0.1
 """Of the starts, which the bound without a kernel leaves out."""

@@ -6,8 +6,8 @@ from ...schemas.file.problem_models import KrigingProblem
 from ...schemas.result.certificate import Assumption, Status
 from ..campaign.account import Account
 from ..campaign.plan import value_range
-from ..mathematics.bounds import audit
-from ..mathematics.bounds.kriging_method import KrigingMethod
+from ..mathematics.bounds.checks import audit
+from ..mathematics.bounds.kriging.method import KrigingMethod
 from .sentences import assumption
 
 

@@ -7,7 +7,7 @@ from ...schemas.ids import RolloutId
 from ...schemas.result.certificate import Assumption, Predicate
 from ...schemas.result.facts import Header
 from ..campaign.second_opinion import is_chosen
-from ..mathematics.bounds.share import unseen_share
+from ..mathematics.bounds.one_law.share import unseen_share
 from .sentences import assumption
 
 UNSEEN = 0.05

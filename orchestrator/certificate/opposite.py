@@ -16,7 +16,7 @@ from ...schemas.result.certificate import CertificateClaim, Predicate, ProblemRe
 from ...schemas.result.facts import Header
 from ...schemas.result.verdict import ByRollouts, VerdictWord, Violations
 from ..campaign.clip import SAME, hiding, reach_of
-from ..mathematics.bounds.opposite import OppositeTest
+from ..mathematics.bounds.checks.counter_evidence import OppositeTest
 from ..store.export_tables import robustness_unit
 from ..store.robustness import RolloutValue
 from .bound_text import clip_words, if_they_hold, margin_text, outward

@@ -7,7 +7,7 @@ from ...schemas.file.problem_models import Linearised, PaperProblem, RigorousPro
 from ...schemas.result import certificate as document
 from ..campaign.account import Account
 from ..campaign.plan import ProblemPlan
-from ..mathematics.bounds.paper_formulas import Tail, mills_probability
+from ..mathematics.bounds.paper.formulas import Tail, mills_probability
 from ..mathematics.bounds.rounding import decimal, floor_to_step, round_down, round_up
 from .bound_text import clip_words
 

@@ -16,8 +16,8 @@ import numpy as np
 from ...schemas.result import certificate as document
 from ..campaign.ledger import Ledger
 from ..campaign.plan import ProblemPlan, unsafe_below
-from ..mathematics.bounds.regions import MARGIN, SAFE, STATUSES, UNDECIDED, Regions, divide
-from ..mathematics.bounds.rigorous import RigorousMethod
+from ..mathematics.bounds.rigorous.method import RigorousMethod
+from ..mathematics.bounds.rigorous.regions import MARGIN, SAFE, STATUSES, UNDECIDED, Regions, divide
 from ..mathematics.gp.lattice import Lattice
 from .problem_results import confidence
 

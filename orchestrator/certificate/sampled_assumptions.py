@@ -9,8 +9,8 @@ from ..campaign.copies import copies, tested_copies
 from ..campaign.ledger import Ledger
 from ..campaign.plan import ProblemPlan
 from ..campaign.tested import OneLaw
-from ..mathematics.bounds import audit
-from ..mathematics.bounds.copied_blocks import LEVEL
+from ..mathematics.bounds.checks import audit
+from ..mathematics.bounds.checks.copied_blocks import LEVEL
 from .sentences import assumption
 
 

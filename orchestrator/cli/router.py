@@ -62,7 +62,7 @@ def router(
     from ...schemas.link.configuration import asks_for_secret, check_own  # noqa: PLC0415
     from ...schemas.link.secret import shared_secret  # noqa: PLC0415
     from ...schemas.stop_signals import stop_signals  # noqa: PLC0415
-    from ..fleet.router import route  # noqa: PLC0415
+    from ..fleet.link.router import route  # noqa: PLC0415
     from ..run.certificate_end import end_announced  # noqa: PLC0415
     from ..run.systemd import Systemd  # noqa: PLC0415
 

@@ -46,7 +46,7 @@ def slurm(
     """
     from ...schemas.file.reader import load_campaign  # noqa: PLC0415
     from ...schemas.link.secret import given_secret, secret_file, user_secret  # noqa: PLC0415
-    from ..fleet.child import system_options  # noqa: PLC0415
+    from ..fleet.children.child import system_options  # noqa: PLC0415
     from ..run.slurm_files import ORCHESTRATOR, SlurmOptions, job_files, missing_files  # noqa: PLC0415
 
     config = load_campaign(campaign)

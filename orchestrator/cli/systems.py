@@ -44,7 +44,7 @@ def simulate(
     SYSTEM is an installed one, FILE.py:NAME or a campaign file. What the system prints goes to stderr. The exit code is
     1 for a rollout that fails or that a campaign would refuse.
     """
-    from ..fleet.simulate import WantedRollout  # noqa: PLC0415
+    from ..fleet.children.simulate import WantedRollout  # noqa: PLC0415
     from ..report.single import simulate_once  # noqa: PLC0415
 
     wanted = WantedRollout(system, start, variant, seed, horizon, options, timeout)
@@ -56,7 +56,7 @@ def simulate(
 @click.argument("system", required=False, callback=check_reference)
 def systems(system: str | None) -> None:
     """Describe SYSTEM, or list the installed ones, with parameters, columns and options."""
-    from ..fleet import simulate  # noqa: PLC0415
+    from ..fleet.children import simulate  # noqa: PLC0415
 
     for line in simulate.describe(system):
         click.echo(line)

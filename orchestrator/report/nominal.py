@@ -9,8 +9,8 @@ from ...schemas.ids import RolloutId
 from ...schemas.result.facts import Header
 from ...schemas.trajectory.trajectory import Trajectory, decode
 from ..certificate.verify.stages import Report
-from ..fleet.child import system_specs
-from ..fleet.simulate import simulate_to
+from ..fleet.children.child import system_specs
+from ..fleet.children.simulate import simulate_to
 from ..store.read import read_header, reading
 from . import curves
 from .data import ReportData

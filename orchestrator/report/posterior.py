@@ -9,7 +9,7 @@ from ...schemas.values import Band, Bound
 from ..campaign.methods import PartMethod, method
 from ..campaign.observation import of_requirement
 from ..campaign.plan import ProblemPlan, plans
-from ..mathematics.bounds.rigorous import RigorousMethod
+from ..mathematics.bounds.rigorous.method import RigorousMethod
 from ..mathematics.gp.kernels import Floats
 from ..mathematics.gp.lattice import Lattice
 from ..store import read

@@ -9,7 +9,7 @@ from ...schemas.result.certificate import SpotCheck
 from ...schemas.values import Bound
 from ..campaign.methods import ProblemMethod
 from ..campaign.plan import ProblemPlan
-from ..mathematics.bounds.rigorous import RigorousMethod
+from ..mathematics.bounds.rigorous.method import RigorousMethod
 from ..mathematics.gp.lattice import Lattice
 from . import limits
 from .chart_data import Prediction, Series

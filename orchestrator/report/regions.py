@@ -13,8 +13,8 @@ from ..campaign.plan import ProblemPlan
 from ..certificate import files as certificate_files
 from ..certificate.region_text import region_sentences
 from ..certificate.regions import boxes_of
-from ..mathematics.bounds.cells import Integers
-from ..mathematics.bounds.regions import SAFE, STATUSES, UNDECIDED, UNSAFE, Regions
+from ..mathematics.bounds.rigorous.cells import Integers
+from ..mathematics.bounds.rigorous.regions import SAFE, STATUSES, UNDECIDED, UNSAFE, Regions
 from ..mathematics.gp.kernels import Floats
 from ..mathematics.gp.lattice import Lattice
 from ..store import files

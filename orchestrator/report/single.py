@@ -8,7 +8,7 @@ from ...schemas import atomic
 from ...schemas.errors import PerfboundError, UnusableTrajectoryError
 from ...schemas.trajectory.trajectory import decode
 from ..campaign.admission import check_whole
-from ..fleet.simulate import WantedRollout, column_lines, simulate_to
+from ..fleet.children.simulate import WantedRollout, column_lines, simulate_to
 
 
 def simulate_once(

@@ -21,7 +21,7 @@ from ..campaign.calibration_instead import Instead, kriging_instead
 from ..campaign.calibration_tolerance import ToleranceForecast
 from ..campaign.checks import check, check_new
 from ..campaign.pilot import clip_around
-from ..fleet.child import system_spec
+from ..fleet.children.child import system_spec
 from .calibration_pilot import CalibrationPilot
 from .calibration_rollouts import rollouts
 from .child_rollouts import ChildRolloutError, ChildSystem

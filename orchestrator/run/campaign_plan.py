@@ -27,7 +27,7 @@ from ..campaign.region import Start
 from ..campaign.rehearsal import REPEATED, PilotRollouts, Rehearsal, expected_tests, rehearsed
 from ..campaign.seeds import drawn
 from ..campaign.spot_check import spot_check_plan
-from ..fleet.child import system_spec
+from ..fleet.children.child import system_spec
 from ..mathematics.gp.points import point_at
 from .child_rollouts import ChildRolloutError, ChildSystem, finished, peak_memory, simulate_in_child
 

@@ -11,7 +11,7 @@ from ...schemas.errors import PerfboundError, TrajectoryError
 from ...schemas.rollout import RolloutRequest
 from ...schemas.system import SystemSpec
 from ...schemas.trajectory.trajectory import Trajectory, decode
-from ..fleet.child import HangError, ask, system_options
+from ..fleet.children.child import HangError, ask, system_options
 
 Done = Callable[[int], None]
 """Progress callback: rollouts that are finished."""

@@ -6,7 +6,7 @@ from pathlib import Path
 from ...schemas.errors import PerfboundError
 from ...schemas.rollout import RolloutRequest
 from ...schemas.system import SystemSpec
-from ..fleet.simulate import simulate_to
+from ..fleet.children.simulate import simulate_to
 
 
 class PoisonedError(PerfboundError):

@@ -10,7 +10,7 @@ from ...schemas.errors import EvidenceError
 from ...schemas.rollout import RolloutRequest
 from ...schemas.trajectory.trajectory import Trajectory
 from ..campaign.admission import admit
-from ..fleet.transport import Result
+from ..fleet.link.transport import Result
 
 LARGE = 2**20
 """Bytes of a result from which decoding takes longer than the way to another thread and back."""

@@ -25,8 +25,8 @@ from ..campaign.first_values import Constants, FirstValues
 from ..campaign.forecast import least_distance
 from ..campaign.questions import QUESTIONS, unknown_question
 from ..campaign.system_check.files import to_declare
-from ..fleet.child import in_file, named_campaign, resolved, system_spec
-from ..fleet.simulate import chosen_horizon
+from ..fleet.children.child import in_file, named_campaign, resolved, system_spec
+from ..fleet.children.simulate import chosen_horizon
 from .first_pilot import SECONDS, Pilot, PilotError, PilotPlan, run_pilot
 
 REACH = 2.0

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from ...schemas.errors import one_line
 from ...schemas.failure import Failure
 from ...schemas.ids import RolloutId
-from ..fleet import events
+from ..fleet.dispatch import events
 from .throttle import Throttle
 
 

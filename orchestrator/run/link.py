@@ -13,7 +13,7 @@ from ...schemas.link.access import access_rules
 from ...schemas.link.configuration import LOCAL, Tls, asks_for_secret, check_own, checked_endpoint
 from ...schemas.link.secret import shared_secret
 from ...schemas.link.tls_files import common_name
-from ..fleet.transport import ROUTER_GRACE, Transport, connect_to_router, listen
+from ..fleet.link.transport import ROUTER_GRACE, Transport, connect_to_router, listen
 from .certificate_end import end_announced
 from .page_access import PagePlace
 

@@ -5,8 +5,8 @@ from collections.abc import Iterable, Mapping
 from ...schemas.ids import Attempt
 from ...schemas.link.messages import Ack, Assign, Cancel, HeartbeatInterval, Refuse, Release, Request, RunFinished
 from ...schemas.rollout import RolloutRequest
-from ..fleet import events
-from ..fleet.transport import Transport
+from ..fleet.dispatch import events
+from ..fleet.link.transport import Transport
 from .assignments import Assignments
 
 

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from ...schemas.places import short_path
 from ...schemas.rollout import RolloutRequest
 from ..campaign.ledger import Ledger
-from ..fleet import events
-from ..fleet.retries import missed
-from ..fleet.simulate import LIMIT
+from ..fleet.children.simulate import LIMIT
+from ..fleet.dispatch import events
+from ..fleet.dispatch.retries import missed
 
 
 def poison_text(

@@ -8,7 +8,7 @@ from pathlib import Path
 from ...schemas.errors import PerfboundError
 from ...schemas.link.configuration import LOCAL
 from ...schemas.link.messages import RunFinished
-from ..fleet.transport import Heartbeat, Inbound, Transport
+from ..fleet.link.transport import Heartbeat, Inbound, Transport
 from ..store.lock import is_held
 from ..store.read import stored_header
 from .format import duration

@@ -11,8 +11,8 @@ from ...schemas.trajectory.trajectory import Trajectory
 from ..campaign.admission import admit
 from ..campaign.border import Admission, Compared
 from ..campaign.ledger import Ledger, Work
-from ..fleet import events
-from ..fleet.transport import Result
+from ..fleet.dispatch import events
+from ..fleet.link.transport import Result
 from ..store.journal import Journal
 from .decoder import LARGE, Decoded, Decoder
 from .grids import Grids

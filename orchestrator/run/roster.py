@@ -13,8 +13,8 @@ from ...schemas.ids import Attempt, RolloutId
 from ...schemas.link.messages import HEARTBEAT, PROTOCOL, WorkerState, heartbeat_interval, is_near
 from ...schemas.platforms import ANY
 from ...schemas.system import SystemSpec
-from ..fleet import events
-from ..fleet.transport import Heartbeat, Token
+from ..fleet.dispatch import events
+from ..fleet.link.transport import Heartbeat, Token
 
 
 @dataclass(slots=True)

@@ -3,8 +3,8 @@
 from collections.abc import Callable
 
 from ...schemas.link.reminder import Reminder
-from ..fleet import events
-from ..fleet.transport import Linked, RouterToken
+from ..fleet.dispatch import events
+from ..fleet.link.transport import Linked, RouterToken
 from .format import duration
 from .router_link import RouterLink
 

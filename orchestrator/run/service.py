@@ -17,13 +17,12 @@ from ...schemas.ids import closing_check
 from ...schemas.values import ProblemProgress
 from ..campaign.ledger import Ledger, Work
 from ..campaign.planned_outlook import PlannedOutlooks
-from ..fleet import dispatch, events
-from ..fleet.choice import out_of_favour
-from ..fleet.inbox import Inbox
-from ..fleet.limits import Limits
-from ..fleet.processes import Fleet
-from ..fleet.state import DispatchState, Worker
-from ..fleet.transport import Garbage, Heartbeat, Inbound, Linked, Result, RouterToken, Token, Transport
+from ..fleet.children.processes import Fleet
+from ..fleet.dispatch import events, machine
+from ..fleet.dispatch.choice import out_of_favour
+from ..fleet.dispatch.state import DispatchState, Limits, Worker
+from ..fleet.link.inbox import Inbox
+from ..fleet.link.transport import Garbage, Heartbeat, Inbound, Linked, Result, RouterToken, Token, Transport
 from ..store.commit_times import CommitTimes
 from ..store.journal import Journal
 from .assignments import Assignments
@@ -191,7 +190,7 @@ class Service:
                 # After the writes of the turn: the clocks of attempts start here, and a record may take long.
                 self._events.append(events.HandOut(time.monotonic()))
                 self._settle()
-            elif not dispatch.under_way(self._state):
+            elif not machine.under_way(self._state):
                 self._stop = self._draining
         # After the commit: kill -9 before it loses facts that no worker has received, so all of them are made again.
         self._send()
@@ -229,7 +228,7 @@ class Service:
         if not drain or self._draining is not None:
             self._stop = message.signal
             return
-        self._draining, count = message.signal, dispatch.under_way(self._state)
+        self._draining, count = message.signal, machine.under_way(self._state)
         self._print_line(f"draining: {count} rollouts are under way; a second signal stops at once")
 
     def _tick(self, now: float) -> None:
@@ -247,7 +246,7 @@ class Service:
     def _settle(self) -> None:
         """Step the dispatch machine until no event is left; an action may add events, which wait for their turn."""
         while self._events:
-            self._state, actions = dispatch.advance(self._state, self._events.popleft())
+            self._state, actions = machine.advance(self._state, self._events.popleft())
             for action in actions:
                 self._act(action)
         self._results.clear()  # also those that the machine did not record: megabytes each
@@ -354,7 +353,7 @@ def _status(
         state.recorded,
         len(state.waiting),
         now - started,
-        dispatch.under_way(state),
+        machine.under_way(state),
         link=routers.link(now),
     )
 

@@ -27,9 +27,9 @@ from ...schemas.system import SystemSpec
 from ..campaign.checks import check_new
 from ..campaign.software import other_numerics, software
 from ..certificate import files
-from ..fleet import child
-from ..fleet.processes import Fleet
-from ..fleet.transport import Transport
+from ..fleet.children import child
+from ..fleet.children.processes import Fleet
+from ..fleet.link.transport import Transport
 from ..store import read
 from ..store.journal import Journal, Origin
 from ..store.lock import campaign_lock

@@ -27,9 +27,9 @@ from ..campaign.system_check.judge import judge
 from ..campaign.system_check.measurements import Measurements
 from ..campaign.system_check.trials import Trials, own_horizon
 from ..certificate.verify.stages import Report
-from ..fleet.child import named_campaign, system_options, system_spec
-from ..fleet.measure import measure_in_children
-from ..fleet.simulate import chosen_horizon, chosen_options
+from ..fleet.children.child import named_campaign, system_options, system_spec
+from ..fleet.children.measure import measure_in_children
+from ..fleet.children.simulate import chosen_horizon, chosen_options
 from .seen_margins import SeenMargins
 
 LIMIT = 60.0

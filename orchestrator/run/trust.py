@@ -7,10 +7,10 @@ from pathlib import Path
 from ...schemas.errors import one_line
 from ...schemas.ids import RolloutId
 from ...schemas.result.facts import HANDED_BACK
-from ..fleet import events
-from ..fleet.opinions import without
-from ..fleet.retries import blames_rollout
-from ..fleet.standing import FOR_GOOD, Standings
+from ..fleet.dispatch import events
+from ..fleet.dispatch.opinions import without
+from ..fleet.dispatch.retries import blames_rollout
+from ..fleet.dispatch.standing import FOR_GOOD, Standings
 from ..store import read
 from ..store.attempts import AttemptLog
 from ..store.journal import Journal

@@ -9,7 +9,7 @@ from ...schemas.result.verdict import CampaignVerdict, VerdictWord, Violations
 from ..certificate.advice import Commands
 from ..certificate.counterexample import margin_words
 from ..certificate.verdict import campaign_verdict
-from ..fleet.child import in_file
+from ..fleet.children.child import in_file
 from ..store.export_tables import robustness_unit
 from ..store.progress import read_progress
 from ..store.read import system_reference

@@ -19,8 +19,8 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import ForkProcess
 from typing import Any
 
-from ..orchestrator.fleet.processes import ChildProcess, Fleet
-from ..orchestrator.fleet.transport import Garbage, Heartbeat, Inbound, Result, Sink, Token, Transport
+from ..orchestrator.fleet.children.processes import ChildProcess, Fleet
+from ..orchestrator.fleet.link.transport import Garbage, Heartbeat, Inbound, Result, Sink, Token, Transport
 from ..schemas.errors import MessageError
 from ..schemas.link.messages import (
     MAX_MESSAGE,

@@ -9,7 +9,7 @@ from pathlib import Path
 from types import CodeType
 from typing import Any, cast
 
-from ..orchestrator.fleet import child
+from ..orchestrator.fleet.children import child
 from ..schemas.errors import CampaignError, DefinitionError, PerfboundError
 from ..schemas.system import SystemSpec
 from ..workers.systems.base import SystemUnderTest

@@ -20,7 +20,8 @@ from ..system import SystemSpec
 from ..values import Bound, Observation, Proposal, StoppedBy
 
 RULES = 1
-"""How seeds, digests and decisions follow from the file and the facts of a new campaign."""
+"""How seeds, digests and decisions follow from the file and the facts of a new campaign, which keeps this number in its
+header. A change that gives another seed, digest or decision is a new number, and a branch where it changes."""
 RECORDED, RESTORED, HANDED_BACK = NO_FAILURE = "recorded", "restored", "handed back"
 """Outcomes of attempts; every other text is the reason of a failure."""
 """Outcomes of attempts that brought a result: a new one, or the file of a recorded one once more."""

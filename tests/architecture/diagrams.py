@@ -3,7 +3,7 @@
 from collections.abc import Set
 from pathlib import Path
 
-from perfbound.orchestrator.fleet.dispatch import KNOWN
+from perfbound.orchestrator.fleet.dispatch.machine import KNOWN
 from tests.architecture.drawing import FRAME, Bend, Layout, Pair, svg
 from tests.architecture.source import arrows_of_rooms
 from tests.architecture.transitions import BESIDE_CAMPAIGN, Transition, of_campaign, of_dispatch, of_legal, of_problem

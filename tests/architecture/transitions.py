@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from perfbound.orchestrator.campaign import state
-from perfbound.orchestrator.fleet import dispatch
+from perfbound.orchestrator.fleet.dispatch import machine
 
 
 class Transition(NamedTuple):
@@ -21,7 +21,7 @@ BESIDE_CAMPAIGN = {Transition(phase, "Observed", "closed") for phase in ("runnin
 
 def of_dispatch() -> set[Transition]:
     """Return every change of a worker's phase."""
-    return _changes(dispatch.LEGAL) | _changes(dispatch.SIDE_EFFECTS)
+    return _changes(machine.LEGAL) | _changes(machine.SIDE_EFFECTS)
 
 
 def _changes(table: Mapping[Any, Sequence[str]]) -> set[Transition]:

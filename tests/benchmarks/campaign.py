@@ -4,7 +4,7 @@ import subprocess
 import sys
 import time
 
-from perfbound.orchestrator.fleet.transport import Heartbeat, Inbound, listen
+from perfbound.orchestrator.fleet.link.transport import Heartbeat, Inbound, listen
 from perfbound.schemas.link.key_expressions import fresh_id
 from perfbound.schemas.link.secret import shared_secret
 from tests.benchmarks.report import Row

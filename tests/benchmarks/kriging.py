@@ -4,8 +4,8 @@ import time
 
 import numpy as np
 
-from perfbound.orchestrator.mathematics.bounds.kriging import KrigingPremises
-from perfbound.orchestrator.mathematics.bounds.kriging_method import KrigingBudget, KrigingMethod
+from perfbound.orchestrator.mathematics.bounds.kriging.bound import KrigingPremises
+from perfbound.orchestrator.mathematics.bounds.kriging.method import KrigingBudget, KrigingMethod
 from perfbound.orchestrator.mathematics.gp.kernels import Matern
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice
 from perfbound.schemas.values import Observation

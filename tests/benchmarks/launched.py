@@ -27,7 +27,7 @@ ROOMS = (
     ("evidence files, fsync", ("/orchestrator/store/files.py", "/schemas/atomic.py")),
     ("SQLite", ("/orchestrator/store/", "/sqlalchemy/")),
     ("trajectories (MCAP)", ("/schemas/trajectory/trajectory.py", "/mcap/")),
-    ("Zenoh, main thread", ("/orchestrator/fleet/transport.py", "/zenoh/")),
+    ("Zenoh, main thread", ("/orchestrator/fleet/link/transport.py", "/zenoh/")),
     ("pydantic, JSON", ("/pydantic/", "/json/", "/schemas/")),
     ("certificate", ("/orchestrator/certificate/",)),
     ("terminal", ("/orchestrator/run/progress.py", "/rich/")),

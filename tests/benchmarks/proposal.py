@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from perfbound.orchestrator.mathematics.bounds.paper import PaperMethod
-from perfbound.orchestrator.mathematics.bounds.paper_formulas import PaperParameters, Regulariser
+from perfbound.orchestrator.mathematics.bounds.paper.formulas import PaperParameters, Regulariser
+from perfbound.orchestrator.mathematics.bounds.paper.method import PaperMethod
 from perfbound.orchestrator.mathematics.gp.kernels import Matern
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice
 from tests.benchmarks import data

@@ -10,9 +10,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from perfbound.orchestrator.mathematics.bounds.confidence import Premises, mixture
 from perfbound.orchestrator.mathematics.bounds.joint import JointMethod
-from perfbound.orchestrator.mathematics.bounds.rigorous import RigorousMethod
+from perfbound.orchestrator.mathematics.bounds.rigorous.confidence import Premises, mixture
+from perfbound.orchestrator.mathematics.bounds.rigorous.method import RigorousMethod
 from perfbound.orchestrator.mathematics.gp.kernels import Matern
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice
 from perfbound.schemas.values import Observation

@@ -5,8 +5,8 @@ import time
 
 import numpy as np
 
-from perfbound.orchestrator.mathematics.bounds.confidence import Premises, mixture
-from perfbound.orchestrator.mathematics.bounds.rigorous import RigorousMethod
+from perfbound.orchestrator.mathematics.bounds.rigorous.confidence import Premises, mixture
+from perfbound.orchestrator.mathematics.bounds.rigorous.method import RigorousMethod
 from perfbound.orchestrator.mathematics.gp.kernels import Matern
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice
 from tests.benchmarks import data

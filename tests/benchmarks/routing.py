@@ -15,7 +15,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
-from perfbound.orchestrator.fleet.transport import (
+from perfbound.orchestrator.fleet.link.transport import (
     Inbound,
     Result,
     Token,

@@ -13,7 +13,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from perfbound.orchestrator.fleet.transport import Heartbeat, Inbound, Token, ZenohTransport, listen
+from perfbound.orchestrator.fleet.link.transport import Heartbeat, Inbound, Token, ZenohTransport, listen
 from perfbound.schemas import __version__
 from perfbound.schemas.link.key_expressions import fresh_id
 from perfbound.schemas.link.messages import PROTOCOL, Request, WorkerState

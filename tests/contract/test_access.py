@@ -8,7 +8,7 @@ import pytest
 import trustme
 import zenoh
 
-from perfbound.orchestrator.fleet.transport import Heartbeat, Inbound, Result, Token, ZenohTransport, listen
+from perfbound.orchestrator.fleet.link.transport import Heartbeat, Inbound, Result, Token, ZenohTransport, listen
 from perfbound.schemas.link import key_expressions
 from perfbound.schemas.link.access import access_rules
 from perfbound.schemas.link.configuration import Tls, connect_config

@@ -3,7 +3,7 @@
 import pytest
 import zenoh
 
-from perfbound.orchestrator.fleet.transport import listen
+from perfbound.orchestrator.fleet.link.transport import listen
 from perfbound.schemas.errors import LinkError
 from perfbound.schemas.link.configuration import LOCAL, connect_config, reachable, with_port
 

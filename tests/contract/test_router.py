@@ -9,8 +9,8 @@ from contextlib import ExitStack
 import pytest
 import zenoh
 
-from perfbound.orchestrator.fleet.router import Router, route
-from perfbound.orchestrator.fleet.transport import (
+from perfbound.orchestrator.fleet.link.router import Router, route
+from perfbound.orchestrator.fleet.link.transport import (
     Heartbeat,
     Inbound,
     Linked,

@@ -11,9 +11,9 @@ from typing import Literal, TypeVar, get_args
 import pytest
 import zenoh
 
-from perfbound.orchestrator.fleet import transport as port
-from perfbound.orchestrator.fleet.router import route
-from perfbound.orchestrator.fleet.transport import (
+from perfbound.orchestrator.fleet.link import transport as port
+from perfbound.orchestrator.fleet.link.router import route
+from perfbound.orchestrator.fleet.link.transport import (
     Garbage,
     Heartbeat,
     Inbound,

@@ -23,7 +23,7 @@ import numpy as np  # noqa: E402
 from perfbound.orchestrator.campaign import plan as plans  # noqa: E402
 from perfbound.orchestrator.campaign.calibration import ProblemCalibration  # noqa: E402
 from perfbound.orchestrator.campaign.methods import kernel_method  # noqa: E402
-from perfbound.orchestrator.mathematics.bounds.rigorous import ExhaustedError, RigorousMethod  # noqa: E402
+from perfbound.orchestrator.mathematics.bounds.rigorous.method import ExhaustedError, RigorousMethod  # noqa: E402
 from perfbound.orchestrator.mathematics.calibration.norm_growth import needed_norm  # noqa: E402
 from perfbound.orchestrator.mathematics.calibration.sampled import SampledValues  # noqa: E402
 from perfbound.orchestrator.run.calibration import Calibration, CalibrationWish, with_file  # noqa: E402

@@ -17,8 +17,8 @@ from perfbound.orchestrator.mathematics.bounds.composition import (
     least_risk,
     pointwise_mean,
 )
-from perfbound.orchestrator.mathematics.bounds.confidence import Premises, mixture
-from perfbound.orchestrator.mathematics.bounds.rigorous import ExhaustedError, RigorousMethod
+from perfbound.orchestrator.mathematics.bounds.rigorous.confidence import Premises, mixture
+from perfbound.orchestrator.mathematics.bounds.rigorous.method import ExhaustedError, RigorousMethod
 from perfbound.orchestrator.mathematics.gp.kernels import Matern
 from tests.coverage.functions import Floats, fine_points, maximum, random_function
 from tests.coverage.laws import CLIP, RISK_WEIGHT, draw_extremes, extreme_risk

@@ -11,14 +11,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from perfbound.orchestrator.mathematics.bounds import audit
+from perfbound.orchestrator.mathematics.bounds.checks import audit
 from perfbound.orchestrator.mathematics.bounds.composition import compose
-from perfbound.orchestrator.mathematics.bounds.paper import PaperMethod
-from perfbound.orchestrator.mathematics.bounds.paper_formulas import (
-    PaperParameters,
-    SigmaReading,
-    mills_probability,
-)
+from perfbound.orchestrator.mathematics.bounds.paper.formulas import PaperParameters, SigmaReading, mills_probability
+from perfbound.orchestrator.mathematics.bounds.paper.method import PaperMethod
 from perfbound.orchestrator.mathematics.gp.kernels import Matern
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice
 from tests.coverage.composition import GAP, GAP_NORM, NOMINAL, NOMINAL_NORM

@@ -11,9 +11,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from perfbound.orchestrator.mathematics.bounds.confidence import Mixture, Premises, mixture
-from perfbound.orchestrator.mathematics.bounds.regions import SAFE, UNDECIDED, UNSAFE, Regions, divide
-from perfbound.orchestrator.mathematics.bounds.rigorous import RigorousMethod
+from perfbound.orchestrator.mathematics.bounds.rigorous.confidence import Mixture, Premises, mixture
+from perfbound.orchestrator.mathematics.bounds.rigorous.method import RigorousMethod
+from perfbound.orchestrator.mathematics.bounds.rigorous.regions import SAFE, UNDECIDED, UNSAFE, Regions, divide
 from perfbound.orchestrator.mathematics.gp.kernels import Matern
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice
 from tests.coverage.functions import SIDE, Floats, Function, fine_points, random_function

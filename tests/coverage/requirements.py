@@ -11,9 +11,9 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from perfbound.orchestrator.mathematics.bounds.confidence import Premises, mixture
 from perfbound.orchestrator.mathematics.bounds.joint import JointMethod, SharedMethod
-from perfbound.orchestrator.mathematics.bounds.rigorous import ExhaustedError, RigorousMethod
+from perfbound.orchestrator.mathematics.bounds.rigorous.confidence import Premises, mixture
+from perfbound.orchestrator.mathematics.bounds.rigorous.method import ExhaustedError, RigorousMethod
 from perfbound.orchestrator.mathematics.bounds.scenario import ScenarioMethod
 from perfbound.orchestrator.mathematics.gp.kernels import Matern
 from perfbound.orchestrator.mathematics.gp.points import Points

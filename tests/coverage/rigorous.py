@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from perfbound.orchestrator.mathematics.bounds import audit
-from perfbound.orchestrator.mathematics.bounds.confidence import Premises, mixture, radius
-from perfbound.orchestrator.mathematics.bounds.rigorous import RigorousMethod
+from perfbound.orchestrator.mathematics.bounds.checks import audit
+from perfbound.orchestrator.mathematics.bounds.rigorous.confidence import Premises, mixture, radius
+from perfbound.orchestrator.mathematics.bounds.rigorous.method import RigorousMethod
 from perfbound.orchestrator.mathematics.gp.kernels import Matern
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice
 from perfbound.orchestrator.mathematics.gp.points import Points

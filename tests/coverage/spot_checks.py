@@ -25,9 +25,9 @@ one_blas_thread()
 import numpy as np  # noqa: E402  (numpy reads the setting once)
 from sklearn.gaussian_process import kernels as learned  # noqa: E402
 
-from perfbound.orchestrator.mathematics.bounds.confidence import Premises, mixture  # noqa: E402
-from perfbound.orchestrator.mathematics.bounds.rigorous import RigorousMethod  # noqa: E402
-from perfbound.orchestrator.mathematics.bounds.spot_check import Hypothesis, SpotTests  # noqa: E402
+from perfbound.orchestrator.mathematics.bounds.checks.spot_check import Hypothesis, SpotTests  # noqa: E402
+from perfbound.orchestrator.mathematics.bounds.rigorous.confidence import Premises, mixture  # noqa: E402
+from perfbound.orchestrator.mathematics.bounds.rigorous.method import RigorousMethod  # noqa: E402
 from perfbound.orchestrator.mathematics.gp.kernels import Matern  # noqa: E402
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice  # noqa: E402
 from tests.coverage.functions import SIDE, Floats, Function, random_function  # noqa: E402

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from perfbound.orchestrator import cli
-from perfbound.orchestrator.fleet import child
+from perfbound.orchestrator.fleet.children import child
 from perfbound.orchestrator.store.rows import SCHEMA_VERSION
 from perfbound.schemas.system import SystemSpec
 from tests.campaigns import FOLDER

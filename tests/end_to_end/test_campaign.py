@@ -277,7 +277,7 @@ def test_the_exit_code_is_that_of_the_campaign_though_its_link_has_not_ended(sta
     write_campaign(started.folder / "c.toml")
     (started.folder / "linked.py").write_text(
         "from perfbound.orchestrator.cli import main\n"
-        "from perfbound.orchestrator.fleet.transport import ZenohTransport\n"
+        "from perfbound.orchestrator.fleet.link.transport import ZenohTransport\n"
         "ZenohTransport.close = lambda transport: None\n"
         "main()\n"
     )

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from perfbound.orchestrator.fleet import dispatch
-from perfbound.orchestrator.fleet.events import (
+from perfbound.orchestrator.fleet.dispatch import machine
+from perfbound.orchestrator.fleet.dispatch.events import (
     Action,
     Delivered,
     Event,
@@ -25,8 +25,7 @@ from perfbound.orchestrator.fleet.events import (
     WorkerDown,
     WorkerUp,
 )
-from perfbound.orchestrator.fleet.limits import Limits
-from perfbound.orchestrator.fleet.state import DispatchState
+from perfbound.orchestrator.fleet.dispatch.state import DispatchState, Limits
 from perfbound.schemas.failure import Failure
 from perfbound.schemas.ids import Attempt, RolloutId
 from tests.fakes.invariants import check_invariants
@@ -154,7 +153,7 @@ class Fleet:
             self._take(Delivered(self.now, name, attempt, FAILURES.get(behaviour), digest))
 
     def _take(self, event: Event) -> None:
-        self.state, actions = dispatch.advance(self.state, event)
+        self.state, actions = machine.advance(self.state, event)
         check_invariants(self.state)
         for action in actions:
             self._act(action)

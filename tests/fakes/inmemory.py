@@ -23,8 +23,8 @@ from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.campaign.software import software
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.issue import issue, manifest
-from perfbound.orchestrator.fleet.limits import Limits
-from perfbound.orchestrator.fleet.transport import Heartbeat, Inbound, Result, Sink, Token, garbage
+from perfbound.orchestrator.fleet.dispatch.state import Limits
+from perfbound.orchestrator.fleet.link.transport import Heartbeat, Inbound, Result, Sink, Token, garbage
 from perfbound.orchestrator.run import assignments, service
 from perfbound.orchestrator.run.service import Interrupted, RunStatus, Service
 from perfbound.orchestrator.run.trust import doubted

@@ -1,6 +1,6 @@
 """Invariants of the dispatch machine, asserted after every step of a test."""
 
-from perfbound.orchestrator.fleet.state import DispatchState
+from perfbound.orchestrator.fleet.dispatch.state import DispatchState
 
 
 def check_invariants(state: DispatchState) -> None:

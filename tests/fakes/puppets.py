@@ -15,7 +15,7 @@ import numpy as np
 
 from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.campaign.software import software
-from perfbound.orchestrator.fleet.transport import Heartbeat, Result, Sink, Token
+from perfbound.orchestrator.fleet.link.transport import Heartbeat, Result, Sink, Token
 from perfbound.orchestrator.run.service import Interrupted, RunStatus, Service
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.schemas import __version__

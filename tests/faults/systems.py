@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from perfbound.orchestrator.fleet.inbox import RESULTS
+from perfbound.orchestrator.fleet.link.inbox import RESULTS
 from tests.end_to_end.processes import query, wait_for
 from tests.faults.faulty_function import BEFORE, BIG
 from tests.faults.memory import LIBRARIES, memory

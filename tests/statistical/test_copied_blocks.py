@@ -6,8 +6,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from perfbound.orchestrator.mathematics.bounds import copied_blocks
-from perfbound.orchestrator.mathematics.bounds.copied_blocks import LEVEL, CopiedBlocks
+from perfbound.orchestrator.mathematics.bounds.checks import copied_blocks
+from perfbound.orchestrator.mathematics.bounds.checks.copied_blocks import LEVEL, CopiedBlocks
 
 RUNS = [1_000, pytest.param(10_000, marks=pytest.mark.slow)]
 Law = Callable[[np.random.Generator], float]

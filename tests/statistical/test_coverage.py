@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-import perfbound.orchestrator.mathematics.bounds.candidate_band
+import perfbound.orchestrator.mathematics.bounds.rigorous.candidate_band
 from perfbound.orchestrator.mathematics.bounds.composition import compose_mean
-from perfbound.orchestrator.mathematics.bounds.confidence import scales_squared
+from perfbound.orchestrator.mathematics.bounds.rigorous.confidence import scales_squared
 from tests.coverage import composition, kriging, rigorous, sampling, scenario
 from tests.coverage.composition import Composition
 from tests.coverage.kriging import Kriging, KrigingAudit
@@ -63,7 +63,7 @@ def test_all_rows_of_one_claim_together(kind: str, claimed: float) -> None:
 @pytest.mark.parametrize("factor", [1.5, 2.0])
 def test_a_band_too_narrow_is_noticed(factor: float, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        perfbound.orchestrator.mathematics.bounds.candidate_band,
+        perfbound.orchestrator.mathematics.bounds.rigorous.candidate_band,
         "scales_squared",
         lambda *a: scales_squared(*a) / factor**2,
     )

@@ -12,11 +12,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import binom
 
-from perfbound.orchestrator.mathematics.bounds.kriging import KrigingBounds, KrigingPremises
-from perfbound.orchestrator.mathematics.bounds.kriging_audit import NormAudit, PointMeans
-from perfbound.orchestrator.mathematics.bounds.kriging_cells import NodeCells, between
-from perfbound.orchestrator.mathematics.bounds.kriging_design import plan_design
-from perfbound.orchestrator.mathematics.bounds.kriging_weights import CAP, WeightTerms, plan_weights
+from perfbound.orchestrator.mathematics.bounds.kriging.audit import NormAudit, PointMeans
+from perfbound.orchestrator.mathematics.bounds.kriging.bound import KrigingBounds, KrigingPremises
+from perfbound.orchestrator.mathematics.bounds.kriging.cells import NodeCells, between
+from perfbound.orchestrator.mathematics.bounds.kriging.design import plan_design
+from perfbound.orchestrator.mathematics.bounds.kriging.weights import CAP, WeightTerms, plan_weights
 from perfbound.orchestrator.mathematics.gp.kernels import Matern
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice
 from perfbound.orchestrator.mathematics.gp.radial import Radial

@@ -11,9 +11,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import binom
 
-from perfbound.orchestrator.mathematics.bounds.predictable import CvarSequence, sample_quantile
-from perfbound.orchestrator.mathematics.bounds.spot_check import Hypothesis, SpotTests
-from perfbound.orchestrator.mathematics.bounds.stationarity import LEVEL, AdaptiveOrderTest, PlannedOrderTest
+from perfbound.orchestrator.mathematics.bounds.checks.spot_check import Hypothesis, SpotTests
+from perfbound.orchestrator.mathematics.bounds.checks.stationarity import LEVEL, AdaptiveOrderTest, PlannedOrderTest
+from perfbound.orchestrator.mathematics.bounds.one_law.predictable import CvarSequence, sample_quantile
 from tests.statistical.vectorised import SpotChecks, cvar_wealth
 
 Floats = NDArray[np.float64]

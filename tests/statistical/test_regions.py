@@ -9,9 +9,9 @@ from scipy.stats import binom
 from sklearn.gaussian_process.kernels import Matern as ScikitMatern
 from threadpoolctl import threadpool_limits
 
-from perfbound.orchestrator.mathematics.bounds.confidence import Premises, mixture
-from perfbound.orchestrator.mathematics.bounds.regions import SAFE, UNDECIDED, UNSAFE, Regions, divide
-from perfbound.orchestrator.mathematics.bounds.rigorous import RigorousMethod
+from perfbound.orchestrator.mathematics.bounds.rigorous.confidence import Premises, mixture
+from perfbound.orchestrator.mathematics.bounds.rigorous.method import RigorousMethod
+from perfbound.orchestrator.mathematics.bounds.rigorous.regions import SAFE, UNDECIDED, UNSAFE, Regions, divide
 from perfbound.orchestrator.mathematics.gp.kernels import Matern
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice
 from tests.fakes.observations import an_observation

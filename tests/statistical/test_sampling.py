@@ -14,22 +14,26 @@ from numpy.typing import NDArray
 from scipy.special import bdtr
 from scipy.stats import binom
 
-from perfbound.orchestrator.mathematics.bounds.failures import (
+from perfbound.orchestrator.mathematics.bounds.one_law.failures import (
     FailureSequence,
     QuantileSequence,
     beta_mixture_upper,
     log_wealth_above,
     log_wealth_below,
 )
-from perfbound.orchestrator.mathematics.bounds.predictable import CvarSequence, PredictableSequence, RiskSequence
-from perfbound.orchestrator.mathematics.bounds.rounding import ROUND_OFF
-from perfbound.orchestrator.mathematics.bounds.sample import SampleMethod, Terms
-from perfbound.orchestrator.mathematics.bounds.share import (
+from perfbound.orchestrator.mathematics.bounds.one_law.predictable import (
+    CvarSequence,
+    PredictableSequence,
+    RiskSequence,
+)
+from perfbound.orchestrator.mathematics.bounds.one_law.share import (
     clopper_pearson_lower,
     clopper_pearson_upper,
     next_rollout_rank,
     quantile_rank,
 )
+from perfbound.orchestrator.mathematics.bounds.rounding import ROUND_OFF
+from perfbound.orchestrator.mathematics.bounds.sample import SampleMethod, Terms
 from perfbound.schemas.values import Observation, SampledQuantity
 from tests.statistical.vectorised import DELTA, cvar_wealth, mixture_wealth, risk_wealth
 

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from perfbound.orchestrator.campaign.methods import kernel_method
-from perfbound.orchestrator.mathematics.bounds.kriging_method import KrigingMethod
-from perfbound.orchestrator.mathematics.bounds.risk import linearised
+from perfbound.orchestrator.mathematics.bounds.kriging.method import KrigingMethod
+from perfbound.orchestrator.mathematics.bounds.one_law.risk import linearised
 from perfbound.orchestrator.mathematics.gp.kernels import Floats
 from perfbound.schemas.file.problem_models import KrigingProblem
 from perfbound.schemas.values import Bound, Observation

@@ -15,7 +15,7 @@ import numpy as np
 
 from perfbound.orchestrator.campaign.observation import Observer
 from perfbound.orchestrator.campaign.plan import ProblemPlan, plans
-from perfbound.orchestrator.mathematics.bounds.kriging_design import plan_design
+from perfbound.orchestrator.mathematics.bounds.kriging.design import plan_design
 from perfbound.orchestrator.mathematics.gp.kernels import Floats
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice
 from perfbound.schemas.file.config import CampaignConfig

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from perfbound.orchestrator.mathematics.bounds.kriging_design import plan_design
+from perfbound.orchestrator.mathematics.bounds.kriging.design import plan_design
 from tests.tightness import claims, figure, page
 from tests.tightness.claims import OTHERS, PageError, other_claims
 from tests.tightness.curves import BUDGETS, NORMS, Budget, Curve, Worst, a_method, campaign, observed, worst

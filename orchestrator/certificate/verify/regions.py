@@ -4,7 +4,7 @@ from pathlib import Path
 
 from ....schemas.result.certificate import Certificate, CertifiedRegions
 from ...campaign.ledger import Ledger
-from ...mathematics.bounds.regions import MARGIN, SAFE, STATUSES, UNSAFE, covered
+from ...mathematics.bounds.rigorous.regions import MARGIN, SAFE, STATUSES, UNSAFE, covered
 from ...mathematics.gp.lattice import Lattice
 from ...store.files import contents
 from .. import files

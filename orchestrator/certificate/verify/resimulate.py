@@ -15,7 +15,7 @@ from ....schemas.base import canonical_json
 from ....schemas.ids import RolloutId
 from ....schemas.rollout import RolloutRequest
 from ....schemas.trajectory.trajectory import Trajectory, read_mcap
-from ...mathematics.bounds.share import unseen_share
+from ...mathematics.bounds.one_law.share import unseen_share
 from ...store import files
 from .checks import CheckFailed
 from .manifest import Entry

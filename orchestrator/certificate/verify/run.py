@@ -20,7 +20,7 @@ from ....schemas.rollout import RolloutRequest
 from ...campaign.checks import check
 from ...campaign.ledger import observed_discards
 from ...campaign.software import other_numerics
-from ...fleet.simulate import simulate_to
+from ...fleet.children.simulate import simulate_to
 from ...store import files as evidence
 from ...store.read import contradicted, irreproducible
 from ...store.untrusted import UntrustedFacts, read_untrusted, read_untrusted_header

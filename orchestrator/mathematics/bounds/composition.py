@@ -21,9 +21,9 @@ from typing import Literal
 
 from ..gp.lattice import Lattice
 from ..gp.points import Candidates
-from .box_maximum import certified_maximum
-from .envelope import Envelope
-from .risk import bhatia_davis, check_clip, check_risk
+from .one_law.risk import bhatia_davis, check_clip, check_risk
+from .rigorous.box_maximum import certified_maximum
+from .rigorous.envelope import Envelope
 from .rounding import STEP, decimal, floor_to_step, round_down
 
 Rule = Literal["product", "sum"]

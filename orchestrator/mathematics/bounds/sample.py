@@ -25,11 +25,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from ....schemas.values import Band, Bound, Observation, Proposal, SampledQuantity
-from .failures import FailureSequence, QuantileSequence
 from .method import Method
-from .predictable import CvarSequence, PredictableSequence, RiskSequence
-from .rounding import round_down
-from .share import (
+from .one_law.failures import FailureSequence, QuantileSequence
+from .one_law.predictable import CvarSequence, PredictableSequence, RiskSequence
+from .one_law.share import (
     clopper_pearson_lower,
     clopper_pearson_upper,
     next_rollout_rank,
@@ -37,6 +36,7 @@ from .share import (
     shifted_failure_upper,
     shifted_share,
 )
+from .rounding import round_down
 
 STEPS = 1000
 """Candidates of a quantile between the ends of the clip, where it is bounded after every sample."""

@@ -46,10 +46,10 @@ from ..gp.acquisition import rival_node
 from ..gp.kernels import Floats
 from ..gp.lattice import check_index
 from ..gp.points import Candidates, point_at
-from .betting import CAREFUL, GRID, BettingSequence, Past
 from .method import Method
-from .predictable import RiskSequence
-from .risk import RiskReading
+from .one_law.betting import CAREFUL, GRID, BettingSequence, Past
+from .one_law.predictable import RiskSequence
+from .one_law.risk import RiskReading
 
 Risk = Literal["linearised", "predictable", "bhatia-davis", "mean"]
 

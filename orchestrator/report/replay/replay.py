@@ -10,7 +10,7 @@ import numpy as np
 from ....schemas import atomic
 from ....schemas.errors import PerfboundError, TrajectoryError
 from ....schemas.trajectory.trajectory import Floats, Trajectory, decode
-from ...fleet.simulate import simulate_to
+from ...fleet.children.simulate import simulate_to
 from ...mathematics.stl.over_time import robustness_signal
 from ...mathematics.stl.tree import Formula
 from .. import curves

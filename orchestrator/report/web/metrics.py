@@ -26,7 +26,7 @@ from ....schemas.result.facts import HANDED_BACK, NO_FAILURE
 from ....schemas.result.so_far import Span
 from ....schemas.result.verdict import VerdictWord
 from ....schemas.values import Bound, ProblemProgress
-from ...fleet.state import WorkerPhase
+from ...fleet.dispatch.state import WorkerPhase
 from ...run.feed import RunFigures
 from ...run.table import bound_in_sense
 from ...store.commit_times import EDGES, CommitTimes, cumulative

@@ -7,7 +7,7 @@ import pytest
 
 from perfbound.orchestrator.campaign.checks import check, check_new
 from perfbound.orchestrator.campaign.clip import by_clip, floored, is_vacuous, least_risk, of_drawn_starts
-from perfbound.orchestrator.mathematics.bounds.risk import bhatia_davis
+from perfbound.orchestrator.mathematics.bounds.one_law.risk import bhatia_davis
 from perfbound.orchestrator.mathematics.bounds.rounding import round_down
 from perfbound.schemas.errors import CampaignError
 from perfbound.schemas.file.drawn_claims import ClaimRequest

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from perfbound.orchestrator.campaign.draws import Draws
 from perfbound.orchestrator.campaign.software import software
 from perfbound.orchestrator.certificate import files
-from perfbound.orchestrator.mathematics.bounds.failures import beta_mixture_upper
+from perfbound.orchestrator.mathematics.bounds.one_law.failures import beta_mixture_upper
 from perfbound.orchestrator.mathematics.search import Falsifier
 from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.run import service

@@ -11,7 +11,7 @@ from perfbound.orchestrator.campaign.methods import method
 from perfbound.orchestrator.campaign.plan import plans
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.text import notes
-from perfbound.orchestrator.mathematics.bounds.kriging_method import KrigingMethod
+from perfbound.orchestrator.mathematics.bounds.kriging.method import KrigingMethod
 from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store.read import read_header, reading

@@ -21,7 +21,7 @@ from perfbound.orchestrator.certificate import files, regions
 from perfbound.orchestrator.certificate.region_text import NONE, region_sentences, unsafe_words
 from perfbound.orchestrator.certificate.text import print_certificate
 from perfbound.orchestrator.certificate.verify import regions as check
-from perfbound.orchestrator.mathematics.bounds.regions import MARGIN, Regions
+from perfbound.orchestrator.mathematics.bounds.rigorous.regions import MARGIN, Regions
 from perfbound.orchestrator.run import service
 from perfbound.schemas.result.certificate import Certificate, CertifiedRegions
 from perfbound.schemas.rollout import RolloutRequest

@@ -12,9 +12,9 @@ import pytest
 
 from perfbound.orchestrator.certificate.verify.checks import Checks
 from perfbound.orchestrator.certificate.verify.run import verify_certificate
-from perfbound.orchestrator.fleet import simulate as simulation
-from perfbound.orchestrator.mathematics.bounds import kriging_method
-from perfbound.orchestrator.mathematics.bounds.kriging_design import Design, plan_design
+from perfbound.orchestrator.fleet.children import simulate as simulation
+from perfbound.orchestrator.mathematics.bounds.kriging import method
+from perfbound.orchestrator.mathematics.bounds.kriging.design import Design, plan_design
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store.files import relative_path
 from perfbound.schemas.ids import RolloutId
@@ -78,7 +78,7 @@ def test_other_starts_than_planned_are_found_without_any_digest(
 ) -> None:
     """The whole campaign is run by an altered perfbound: files, database, chain and certificate fit each other."""
     with monkeypatch.context() as altered:
-        altered.setattr(kriging_method, "plan_design", lambda *arguments: change(plan_design(*arguments)))
+        altered.setattr(method, "plan_design", lambda *arguments: change(plan_design(*arguments)))
         simulate(tmp_path, CONFIG, rising, noisy=True)
         assert check(tmp_path).good, "the forgery is complete: an altered perfbound verifies it"
     checks = check(tmp_path)

@@ -24,7 +24,7 @@ from perfbound.orchestrator.certificate.verify.checks import ABSENT, CHECKS, Che
 from perfbound.orchestrator.certificate.verify.manifest import parse_manifest
 from perfbound.orchestrator.certificate.verify.rerun import Rerun
 from perfbound.orchestrator.certificate.verify.run import Verification, verify_certificate
-from perfbound.orchestrator.fleet import simulate
+from perfbound.orchestrator.fleet.children import simulate
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store.attempt_record import table_digests
 from perfbound.orchestrator.store.files import relative_path
@@ -662,7 +662,7 @@ def test_numbers_of_another_cpu_are_the_same(campaign: Path) -> None:
 def test_a_rival_of_the_maximiser_is_followed(campaign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """This CPU would choose otherwise; what the campaign tested is within 1e-9 of the maximum, and that is good."""
     monkeypatch.setattr(
-        "perfbound.orchestrator.mathematics.bounds.paper.maximiser", lambda values: int(values.argsort()[-40])
+        "perfbound.orchestrator.mathematics.bounds.paper.method.maximiser", lambda values: int(values.argsort()[-40])
     )
     text = (campaign / files.MANIFEST).read_text()
     with reading(campaign) as connection:

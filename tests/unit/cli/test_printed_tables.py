@@ -16,7 +16,7 @@ from perfbound.orchestrator.certificate.assumption_titles import title
 from perfbound.orchestrator.certificate.verify.checks import CHECKS, Checks
 from perfbound.orchestrator.certificate.verify.run import Verification
 from perfbound.orchestrator.certificate.verify.table import print_verification
-from perfbound.orchestrator.fleet.simulate import column_lines
+from perfbound.orchestrator.fleet.children.simulate import column_lines
 from perfbound.orchestrator.report.replay.comparison import Deviation, Difference, lines
 from perfbound.orchestrator.run.system_check import SystemCheck, print_findings
 from perfbound.orchestrator.run.table import progress_table

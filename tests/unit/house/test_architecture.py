@@ -9,9 +9,8 @@ import pytest
 
 from perfbound.orchestrator.campaign import state as campaign
 from perfbound.orchestrator.campaign.state import Plan
-from perfbound.orchestrator.fleet import dispatch, events
-from perfbound.orchestrator.fleet.limits import Limits
-from perfbound.orchestrator.fleet.state import DispatchState
+from perfbound.orchestrator.fleet.dispatch import events, machine
+from perfbound.orchestrator.fleet.dispatch.state import DispatchState, Limits
 from perfbound.schemas.errors import IllegalEvent
 from perfbound.schemas.failure import Failure
 from perfbound.schemas.ids import Attempt, RolloutId
@@ -74,7 +73,7 @@ def test_the_diagram_of_dispatch_is_what_the_core_does() -> None:
     for _ in range(STEPS):
         at += rng.choice([0.1, 0.5, 5.0])
         event = an_event(rng, at)
-        after, _ = dispatch.advance(state, event)
+        after, _ = machine.advance(state, event)
         for name in WORKERS:
             one, other = (each.workers[name].phase if name in each.workers else "unknown" for each in (state, after))
             if one != other:

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from scipy.optimize import approx_fprime
 
-from perfbound.orchestrator.mathematics.bounds.audit import rise_between_nodes
-from perfbound.orchestrator.mathematics.bounds.box_maximum import certified_maximum
+from perfbound.orchestrator.mathematics.bounds.checks.audit import rise_between_nodes
 from perfbound.orchestrator.mathematics.bounds.composition import pointwise_mean
-from perfbound.orchestrator.mathematics.bounds.confidence import Premises
-from perfbound.orchestrator.mathematics.bounds.paper import PaperMethod
-from perfbound.orchestrator.mathematics.bounds.paper_formulas import PaperParameters
-from perfbound.orchestrator.mathematics.bounds.rigorous import RigorousMethod
+from perfbound.orchestrator.mathematics.bounds.paper.formulas import PaperParameters
+from perfbound.orchestrator.mathematics.bounds.paper.method import PaperMethod
+from perfbound.orchestrator.mathematics.bounds.rigorous.box_maximum import certified_maximum
+from perfbound.orchestrator.mathematics.bounds.rigorous.confidence import Premises
+from perfbound.orchestrator.mathematics.bounds.rigorous.method import RigorousMethod
 from perfbound.orchestrator.mathematics.gp.distinct import OffNodeKernel
 from perfbound.orchestrator.mathematics.gp.kernels import Floats, Matern
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from perfbound.orchestrator.mathematics.bounds.regions import SAFE, UNDECIDED, UNSAFE, Regions
+from perfbound.orchestrator.mathematics.bounds.rigorous.regions import SAFE, UNDECIDED, UNSAFE, Regions
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice
 from perfbound.orchestrator.report import regions
 from perfbound.orchestrator.report.regions import LARGEST

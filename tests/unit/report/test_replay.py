@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 from PIL import Image
 
 from perfbound.orchestrator.campaign.ledger import Ledger
-from perfbound.orchestrator.fleet import simulate
+from perfbound.orchestrator.fleet.children import simulate
 from perfbound.orchestrator.report.replay import replay
 from perfbound.orchestrator.report.replay.comparison import compare
 from perfbound.orchestrator.report.replay.load import load_recorded

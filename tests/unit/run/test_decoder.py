@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from perfbound.orchestrator.fleet.events import Delivered
-from perfbound.orchestrator.fleet.transport import Result
+from perfbound.orchestrator.fleet.dispatch.events import Delivered
+from perfbound.orchestrator.fleet.link.transport import Result
 from perfbound.orchestrator.run import results
 from perfbound.orchestrator.run.decoder import Decoded, Decoder
 from perfbound.orchestrator.run.results import Results

@@ -4,7 +4,7 @@ from typing import cast
 
 import pytest
 
-from perfbound.orchestrator.fleet.events import OftenHandedBack
+from perfbound.orchestrator.fleet.dispatch.events import OftenHandedBack
 from perfbound.orchestrator.run.trust import note
 from perfbound.orchestrator.store.attempts import AttemptLog
 from perfbound.schemas.ids import RolloutId

@@ -16,9 +16,10 @@ from typing import Any
 import pytest
 
 from perfbound.orchestrator.campaign.ledger import Ledger
-from perfbound.orchestrator.fleet import events, processes
-from perfbound.orchestrator.fleet.processes import Fleet
-from perfbound.orchestrator.fleet.transport import Heartbeat, Token
+from perfbound.orchestrator.fleet.children import processes
+from perfbound.orchestrator.fleet.children.processes import Fleet
+from perfbound.orchestrator.fleet.dispatch import events
+from perfbound.orchestrator.fleet.link.transport import Heartbeat, Token
 from perfbound.orchestrator.run import assignments, roster, service
 from perfbound.orchestrator.run.service import Service
 from perfbound.orchestrator.store.journal import Journal

@@ -6,7 +6,7 @@ from typing import Any, cast
 import pytest
 
 from perfbound.orchestrator.campaign.ledger import Ledger
-from perfbound.orchestrator.fleet import events
+from perfbound.orchestrator.fleet.dispatch import events
 from perfbound.orchestrator.run.poison import poison_text
 from perfbound.schemas.failure import Failure
 from perfbound.schemas.file.config import CampaignConfig

@@ -2,8 +2,8 @@
 
 import pytest
 
-from perfbound.orchestrator.fleet import events
-from perfbound.orchestrator.fleet.transport import Heartbeat, Token
+from perfbound.orchestrator.fleet.dispatch import events
+from perfbound.orchestrator.fleet.link.transport import Heartbeat, Token
 from perfbound.orchestrator.run import roster as module
 from perfbound.orchestrator.run.roster import Roster
 from perfbound.schemas import __version__

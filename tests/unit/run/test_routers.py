@@ -3,10 +3,9 @@
 import time
 from dataclasses import replace
 
-from perfbound.orchestrator.fleet.events import LinkChanged, RouterChanged
-from perfbound.orchestrator.fleet.limits import Limits
-from perfbound.orchestrator.fleet.state import DispatchState, Worker
-from perfbound.orchestrator.fleet.transport import Linked, RouterToken
+from perfbound.orchestrator.fleet.dispatch.events import LinkChanged, RouterChanged
+from perfbound.orchestrator.fleet.dispatch.state import DispatchState, Limits, Worker
+from perfbound.orchestrator.fleet.link.transport import Linked, RouterToken
 from perfbound.orchestrator.run.progress import worker_line
 from perfbound.orchestrator.run.router_link import RouterLink
 from perfbound.orchestrator.run.routers import Routers

@@ -15,10 +15,9 @@ import pytest
 import sqlalchemy as sa
 
 from perfbound.orchestrator.campaign.ledger import Ledger
-from perfbound.orchestrator.fleet import dispatch, events
-from perfbound.orchestrator.fleet.events import HandOut, Reported, Start, Wanted, WorkerUp
-from perfbound.orchestrator.fleet.limits import Limits
-from perfbound.orchestrator.fleet.state import DispatchState
+from perfbound.orchestrator.fleet.dispatch import events, machine
+from perfbound.orchestrator.fleet.dispatch.events import HandOut, Reported, Start, Wanted, WorkerUp
+from perfbound.orchestrator.fleet.dispatch.state import DispatchState, Limits
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.changes import ChangeReader
@@ -178,13 +177,13 @@ def crowd(workers: int, rollouts: int) -> DispatchState:
         Wanted(0.0, wanted),
     ]
     for event in arrivals:
-        state, _ = dispatch.advance(state, event)
+        state, _ = machine.advance(state, event)
     return state
 
 
 @pytest.mark.parametrize(("workers", "rollouts"), [(3, 5), (5, 3), (4, 4), (0, 2), (2, 0)])
 def test_all_idle_workers_get_the_oldest_rollouts_at_once(workers: int, rollouts: int) -> None:
-    state, actions = dispatch.advance(crowd(workers, rollouts), HandOut(1.0))
+    state, actions = machine.advance(crowd(workers, rollouts), HandOut(1.0))
     check_invariants(state)
     starts = [(each.worker, each.attempt.rollout.test) for each in actions if isinstance(each, Start)]
     assert starts == [(f"w{number}", number) for number in range(min(workers, rollouts))]
@@ -193,6 +192,6 @@ def test_all_idle_workers_get_the_oldest_rollouts_at_once(workers: int, rollouts
 
 def test_a_heartbeat_of_an_idle_worker_changes_nothing() -> None:
     state = crowd(1000, 0)
-    after, actions = dispatch.advance(state, Reported(1.0, "w500", None, 0))
+    after, actions = machine.advance(state, Reported(1.0, "w500", None, 0))
     assert after is state
     assert actions == ()

@@ -18,7 +18,7 @@ import pytest
 
 from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.certificate import files
-from perfbound.orchestrator.fleet.transport import Heartbeat, Result, Sink, Token
+from perfbound.orchestrator.fleet.link.transport import Heartbeat, Result, Sink, Token
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.run.service import RunStatus, Service
 from perfbound.orchestrator.run.throttle import EACH

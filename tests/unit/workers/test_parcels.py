@@ -5,7 +5,7 @@ import pytest
 from perfbound.schemas.link.messages import Assign, ResultHeader, WorkerState
 from perfbound.workers.parcels import LONGEST_WAIT, Parcels
 from perfbound.workers.transport import Receiver
-from tests.unit.fleet.test_fuzz_border import REQUEST
+from tests.unit.fleet.link.test_fuzz_border import REQUEST
 
 
 class Way:

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from perfbound.orchestrator.fleet import child, simulate
+from perfbound.orchestrator.fleet.children import child, simulate
 from perfbound.schemas.errors import CampaignError, UnknownSystemError
 from perfbound.schemas.system import SystemSpec
 from perfbound.workers import systems, worker

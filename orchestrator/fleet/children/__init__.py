@@ -1,0 +1,1 @@
+"""Child processes: local workers, single rollouts, and whatever they started."""

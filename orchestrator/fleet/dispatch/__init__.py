@@ -1,0 +1,1 @@
+"""The dispatch machine: which worker gets which rollout, retries, losses, blame; pure functions."""

@@ -1,0 +1,104 @@
+"""The state of the dispatch machine: limits, workers, open rollouts, and the standing of workers and hosts."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+from ....schemas.ids import Attempt, RolloutId
+from .retries import Open
+from .standing import Place, Standing
+
+# The limits of the dispatch machine
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Time limits in seconds, failed attempts that poison a rollout, and failures that set a worker or host aside."""
+
+    resend_after: float = 1.5
+    lost_after: float = 3.0
+    hung_after: float = 10.0
+    deadline: float = 600.0
+    max_attempts: int = 5
+    others_within: float = 60.0
+    """A worker repeats what it has tried only if no other one comes in this time: longer than the default grace."""
+    in_a_row: int = 3
+    """Rollouts: two may fail by one cause, such as a network that is cut twice; a third is rarely chance."""
+    first_pause: float = 30.0
+    """Longer than the restart of a worker, a supervisor's delay included, and short beside a campaign of minutes."""
+    longest_pause: float = 1800.0
+    """A repaired machine is of use again within half an hour; a broken one costs two attempts an hour."""
+
+
+WorkerPhase = Literal["new", "idle", "sent", "busy", "shunned", "gone"]
+NEVER = float("inf")
+SERVING: tuple[WorkerPhase, ...] = ("idle", "sent", "busy")
+"""Phases of a worker that takes a rollout now or soon: out of `new` and `shunned` a hanging one may never come."""
+
+
+@dataclass(frozen=True, slots=True)
+class Worker:
+    """One worker process in the view of the orchestrator."""
+
+    phase: WorkerPhase = "new"
+    attempt: Attempt | None = None
+    host: str = ""
+    leaving: bool = False
+    """Whether it has said that it ends, and gets nothing more."""
+    resumes_as: WorkerPhase = "idle"
+    """Its phase if its token comes back; of a `gone` worker alone."""
+    replaced: bool = False
+    """Whether another process takes its place, so that its token does not come back; of a `gone` worker alone."""
+    gone_at: float = NEVER
+    sent_at: float = NEVER
+    """Of the last assign message."""
+    started_at: float = NEVER
+    """Of its attempt; of a `new` or `shunned` worker, when it became so."""
+    progress: int = -1
+    progress_at: float = NEVER
+
+    def shunned(self, at: float) -> "Worker":
+        """Return the worker without its assignment, with which it may still be busy."""
+        if self.phase == "gone":  # the token decides first whether the process is lost
+            return replace(self, attempt=None, resumes_as="shunned")
+        return Worker("shunned", host=self.host, started_at=at, progress_at=at)
+
+
+@dataclass(frozen=True, slots=True)
+class DispatchState:
+    """Workers, open rollouts in order of arrival, and those of them that wait for a worker."""
+
+    limits: Limits
+    hold_until: float = 0.0
+    """Nothing is assigned before this time: after a restart busy workers report first."""
+    linked: bool = True
+    """Whether the link to the router is up; without a router always."""
+    linked_at: float = -NEVER
+    """When it came back last."""
+    grace: float = 0.0
+    """Seconds for gone workers to return, since a router or the link to it has changed; nothing without a router."""
+    patient_until: float = 0.0
+    """The end of that time, which was counted from the last change."""
+    alone_from: float = 0.0
+    """Before this time workers that are not known yet may come and decide a dispute: those of before a restart."""
+    workers: Mapping[str, Worker] = field(default_factory=dict)
+    open: Mapping[RolloutId, Open] = field(default_factory=dict)
+    waiting: tuple[RolloutId, ...] = ()
+    standings: Mapping[Place, Standing] = field(default_factory=dict)
+    """Of the workers and hosts that failed and have not succeeded since."""
+    proven: frozenset[str] = frozenset()
+    """Hosts that have recorded rollouts."""
+    second_opinion: bool = False
+    """Whether the first results of a worker are compared."""
+    comparisons: Mapping[str, int] = field(default_factory=dict)
+    """Results of a worker that agreed with another one's."""
+    recorded: int = 0
+
+    def is_undecided(self, rollout: RolloutId) -> bool:
+        """Whether nothing has been decided on an open rollout since its last attempt ended."""
+        held = any(each.attempt is not None and each.attempt.rollout == rollout for each in self.workers.values())
+        return not (self.open[rollout].poisoned or held or rollout in self.waiting)
+
+    def host(self, worker: str) -> str:
+        """Return the host of a worker; of one that has been removed, none."""
+        return self.workers.get(worker, Worker()).host

@@ -1,0 +1,191 @@
+"""Method `kriging`: an upper bound of max J over a box, valid at every moment, from weighted sums of rollouts.
+
+| symbol | name         | meaning                                                           | shape | unit   |
+|--------|--------------|-------------------------------------------------------------------|-------|--------|
+| J      |              | maximised objective: the mean of the values of single rollouts    |       | unit J |
+| X      |              | minus the value of a rollout; mu = -J is bounded from below       | ()    | unit J |
+| m0     | `prior_mean` | the norm bound is about J - m0                                    | ()    | unit J |
+| B      | `rkhs_norm`  | bound of the norm of J - m0                                       | ()    | unit J |
+|        | `ends`       | range of the value of one rollout                                 | (2,)  | unit J |
+| s      | `spread`     | guess of the standard deviation of a rollout; decides no validity | ()    | unit J |
+| delta  | `delta`      | failure probability                                               | ()    | -      |
+
+The design, its order and the weights follow from the budget, before the first rollout. There is no lower bound of
+max J: the rollouts are where the upper one needs them, and not where J is largest, so a lower bound would tend to
+something else than J* and no tolerance could end the campaign. The budget ends it, or the audit of B.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .....schemas.values import Band, Bound, Observation, Proposal
+from ...gp.kernels import Floats, Matern
+from ...gp.lattice import Lattice
+from ...gp.points import point_at
+from ...gp.radial import Radial
+from ..method import Method
+from .audit import NormAudit, PointMeans
+from .bound import GuessedMean, KrigingBounds, KrigingPremises, check_value
+from .cells import NodeCells, between
+from .design import plan_design
+from .forecast import PlannedBounds
+from .weights import WeightTerms, plan_weights
+
+
+@dataclass(frozen=True, slots=True)
+class KrigingBudget:
+    """What is planned beforehand: `tests` of `replicates` rollouts each, `points` points per parameter."""
+
+    tests: int
+    replicates: int
+    points: int
+
+
+class KrigingMethod(Method):
+    """The fixed tests of one problem, and its bound after every test.
+    Implements eq. (kriging) of [PB].
+
+    `premises` are those of J and of the value of a rollout.
+
+    Raises ValueError at construction for parameters outside their range.
+
+    >>> from perfbound.orchestrator.mathematics.gp.lattice import Lattice
+    >>> method = KrigingMethod(
+    ...     Lattice((0.0,), (1.0,), 5), Matern(2.5, 2.0), KrigingPremises(0.3, -0.6, (-1.0, 0.0), 0.05), spread=0.1,
+    ...     budget=KrigingBudget(30, 10, 3))
+    >>> for _ in range(30):
+    ...     bound = method.observe(method.propose(), Observation(-0.7, (-0.6, -0.8) * 5))
+    >>> bound.lower, bound.verdict, round(bound.upper, 3)
+    (None, None, -0.652)
+
+    """
+
+    def __init__(
+        self, lattice: Lattice, kernel: Matern, premises: KrigingPremises, *, spread: float, budget: KrigingBudget
+    ) -> None:
+        if not (math.isfinite(spread) and spread > 0):
+            raise ValueError(f"spread must be a positive finite number, not {spread!r}")
+        radial = Radial(kernel)
+        self.lattice, self.design = lattice, plan_design(lattice, budget.tests, budget.points)
+        low, high = premises.ends
+        # From here on everything is about X: J is maximised, so its mirror is bounded from below.
+        self._premises = KrigingPremises(premises.rkhs_norm, -premises.prior_mean, (-high, -low), premises.delta)
+        points = lattice.nodes[list(self.design.nodes)]
+        self._to_nodes, inner = between(radial, lattice.nodes, points), between(radial, points, points)
+        self._counts = counts = np.array(self.design.counts, dtype=np.float64) * budget.replicates
+        planned = plan_weights(self._to_nodes, inner, counts, _weight_terms(self._premises, spread))
+        self._bounds = KrigingBounds(
+            planned, inner, NodeCells(lattice, radial, points), self._premises, error=radial.error
+        )
+        self._means = PointMeans(inner, self._premises, spread)
+        self._audit = NormAudit(self._means, counts, self._premises, spread)
+        self._tests, self.beyond_ball, self._upper = 0, False, -self._bounds.minimum()
+
+    @property
+    def size(self) -> int:
+        """Number of nodes."""
+        return self.lattice.size
+
+    @property
+    def probability(self) -> float:
+        """1 - delta."""
+        return 1.0 - self._premises.delta
+
+    @property
+    def b_min(self) -> float:
+        """The norm that the rollouts need, by the audit, at a failure probability delta of its own."""
+        return self._audit.b_min
+
+    @property
+    def coming(self) -> PlannedBounds:
+        """The rest of the plan, for forecasts."""
+        return PlannedBounds(self._bounds, self._means, self._counts)
+
+    def propose(self, first: int | None = None, pending: Sequence[int] = ()) -> Proposal:  # noqa: ARG002
+        """Return the next test of the design; it changes nothing, and `first` has no effect here.
+
+        Raises:
+            ValueError: the design has no more tests.
+
+        """
+        test = self._tests + len(pending)
+        if test >= len(self.design.order):
+            raise ValueError(f"the design has {len(self.design.order)} tests, and all of them are made")
+        return self.proposal_at(self.design.nodes[self.design.order[test]], pending)
+
+    def acquisition(self, pending: Sequence[int]) -> Floats:
+        """Return 1 at the next node of the design and 0 elsewhere (m,): no rule may choose another one."""
+        chosen = np.zeros(self.size)
+        chosen[self.propose(pending=pending).node] = 1.0
+        return chosen
+
+    def proposal_at(self, index: int, pending: Sequence[int]) -> Proposal:  # noqa: ARG002
+        """Return the proposal of a node."""
+        return Proposal(index, point_at(self.lattice, index), None, None, None, None)
+
+    def rival(self, x: Sequence[float], pending: Sequence[int] = ()) -> Proposal | None:  # noqa: ARG002
+        """Return None: the design follows from whole numbers, which no CPU rounds differently."""
+        return None
+
+    def observe(self, proposal: Proposal, observation: Observation) -> Bound:
+        """Add the rollouts of one test and return the bound; on an error nothing changes.
+
+        Raises:
+            ValueError: there is no value, one is outside its range, or the node is no point of the design.
+
+        """
+        return self.bound_after([(proposal, observation)])
+
+    def bound_after(self, tests: Sequence[tuple[Proposal, Observation]]) -> Bound:
+        """Add observations, and return the bound that follows from all of them; raises as `observe`."""
+        self.recall(tests)
+        return Bound(self._upper, None, "refuted" if self._is_refuted else None)
+
+    def recall(self, tests: Sequence[tuple[Proposal, Observation]]) -> None:
+        """Add observations; raises as `observe`."""
+        for proposal, observation in tests:
+            if proposal.node not in self.design.nodes:
+                raise ValueError(f"node {proposal.node} is no point of the design")
+            values = [-value for value in observation.each]
+            if not values:
+                raise ValueError("a test needs at least one rollout")
+            for value in values:
+                check_value(value, self._premises.ends)
+            self._add(self.design.nodes.index(proposal.node), values)
+
+    def band(self, bound: Bound) -> Band:
+        """Return the band: for all nodes at once at 1 - delta, each cell at delta/#nodes, from the rollouts so far.
+
+        So its worst value is not below the bound of the maximum, which needs no union over nodes. The mean is the
+        interpolant of the means at the points (kriging). A node has no lower bound, and no node is excluded.
+        """
+        mean = -(self._premises.prior_mean + self._to_nodes @ self._means.roughness())
+        each = self._bounds.current(self._premises.cost + math.log(self.size) * (1.0 + 1e-14))
+        upper = np.full(self.size, math.nan) if bound.verdict == "refuted" else -each
+        nothing = np.full(self.size, math.nan)
+        return Band(tuple(mean.tolist()), tuple(nothing.tolist()), tuple(upper.tolist()), possible=(True,) * self.size)
+
+    def _add(self, point: int, values: Sequence[float]) -> None:
+        self._audit.observe(point, values)  # before the means: its bets are functions of the tests before
+        self._bounds.observe(point, values)
+        self._means.add(point, values)
+        self._tests += 1
+        found = self._bounds.minimum()
+        # mu exceeds m0 + B nowhere, so that a bound there contradicts B as well.
+        self.beyond_ball = self.beyond_ball or found >= self._premises.prior_mean + self._premises.rkhs_norm
+        if not self._is_refuted:  # false premises prove nothing: the bound from before is kept
+            self._upper = -found
+
+    @property
+    def _is_refuted(self) -> bool:
+        return self.beyond_ball or self.b_min > self._premises.rkhs_norm
+
+
+def _weight_terms(premises: KrigingPremises, spread: float) -> WeightTerms:
+    # Before any rollout the guess of its mean is m0.
+    u, (low, high) = GuessedMean(premises).value, premises.ends
+    least = 1e-3 * (high - low)
+    return WeightTerms(premises.rkhs_norm, premises.delta, spread, max(u - low, least), max(high - u, least))

@@ -1,0 +1,1 @@
+"""Bounds of one law from independent samples: its mean, risk, CVaR, quantile and failure probability."""

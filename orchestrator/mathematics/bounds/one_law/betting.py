@@ -1,0 +1,200 @@
+"""Lower confidence sequences by betting for the mean of values in [0, 1], on a grid of candidate means.
+
+| symbol     | name          | meaning                                                              | shape  | unit |
+|------------|---------------|----------------------------------------------------------------------|--------|------|
+| x_i        | `x`           | the i-th value, in [0, 1]; its mean given the past is mu             | ()     | -    |
+| G          | `GRID`        | candidates are g/G, g = 0 .. G; a power of two, so g/G is exact      | ()     | -    |
+| m          | `_candidate_means` | candidate means, the null hypothesis being mu <= m              | (G+1,) | -    |
+| lambda_ji  |               | bet of strategy j on x_i at m, from x_1 .. x_(i-1) alone             | (G+1,) | -    |
+| c_j        | `cap`         | share of the wealth that strategy j may lose at once, in (0, 1)      | ()     | -    |
+| w_j        | `share`       | share of the first wealth that strategy j is given; they sum to 1    | ()     | -    |
+| W_n(m)     |               | wealth, sum_j w_j prod_(i<=n) (1 + lambda_ji (x_i - m))              | (G+1,) | -    |
+| delta      |               | failure probability                                                  | ()     | -    |
+
+Validity. Let mu <= m, and 0 <= lambda_ji <= c_j/m with lambda_ji a function of the past. Every factor is at least
+1 - c_j > 0 and its mean given the past is 1 + lambda_ji (mu - m) <= 1. So W_n(m) is a positive supermartingale that
+starts at 1, and by Ville P[some n: W_n(m) >= 1/delta] <= delta. A candidate is rejected from the first such n on.
+Report L = g/G with the largest g such that *all* of 1 .. g are rejected. If ever L > mu, then the smallest multiple of
+1/G that is not below mu is rejected, because it is among 1 .. g. It is one candidate, known before the data, with
+mu <= m: probability <= delta. Hence mu >= L for all n at once, whatever the bets do from candidate to candidate: no
+monotony of W in m is needed, no union over the grid, no n fixed beforehand, and rounding is always to the safe side.
+Values may come in batches, with delays, in numbers that depend on outcomes (Ville holds at every stopping time); only
+x_i must have its mean given everything that entered before it. An upper bound is 1 - the lower bound of 1 - x.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..rounding import RICHEST, ROUND_OFF
+
+Floats = NDArray[np.float64]
+
+GRID = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Strategy:
+    """A rule of betting: Kelly's bet to second order, for the mean that the past suggests.
+
+    `share` of the first wealth, `cap` on what may be lost at once, and `optimism`: the mean is taken that many standard
+    errors above the past one, so that a short unlucky past does not end the betting.
+
+    Raises:
+        ValueError: share is outside (0, 1], cap outside (0, 1), or optimism negative.
+
+    """
+
+    share: float
+    cap: float
+    optimism: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (0 < self.share <= 1 and 0 < self.cap < 1 and 0 <= self.optimism < math.inf):
+            raise ValueError(f"a strategy needs share in (0, 1], cap in (0, 1), optimism >= 0; not {self}")
+
+
+BOLD_AND_CAREFUL = (Strategy(0.7, 0.95, 1.0), Strategy(0.3, 0.5))
+"""For some hundred values far from 0 the largest bets are best, so most of the wealth bets boldly. Where values at 0
+(a fall) are not rare that is ruinous, and the careful part continues at the price of a factor .3 in W."""
+
+CAREFUL = (Strategy(1.0, 0.5),)
+
+
+class Past:
+    """Count, mean and variance of the values so far; `imaginary` values at 1 count in bets, not in `count`.
+
+    Raises:
+        ValueError: `imaginary` is negative.
+
+    """
+
+    __slots__ = ("_squares", "_total", "_weight", "count")
+
+    def __init__(self, imaginary: int = 0) -> None:
+        if imaginary < 0:
+            raise ValueError(f"imaginary must not be negative, not {imaginary}")
+        self.count = 0
+        self._weight = self._total = self._squares = float(imaginary)
+
+    def add(self, x: float) -> None:
+        """Add a value in [0, 1]."""
+        self.count += 1
+        self._weight += 1.0
+        self._total += x
+        self._squares += x * x
+
+    @property
+    def mean(self) -> float:
+        """Mean, imaginary values included; 0 if there is none, so that nothing is bet."""
+        return self._total / self._weight if self._weight else 0.0
+
+    @property
+    def variance(self) -> float:
+        """Mean square deviation from `mean`."""
+        return max(self._squares / self._weight - self.mean**2, 0.0) if self._weight else 0.0
+
+    @property
+    def standard_error(self) -> float:
+        """Estimated standard deviation of `mean`."""
+        return math.sqrt(self.variance / self._weight) if self._weight else 0.0
+
+
+class BettingSequence:
+    """Lower confidence sequence of a mean, running maximum, for one or several failure probabilities at once.
+    Implements eq. (capital process) of [WSR].
+
+    Formula: L_n = max{g/G : for all h <= g, max_(i<=n) W_i(h/G) >= 1/delta}, W as at the head of this module.
+    One wealth serves every delta in `deltas`; each bound has its own 1 - delta. Work per value is O(G), and only on
+    candidates that are neither rejected nor above what any strategy bets on.
+    Assumes values in [0, 1] with mean mu given the past. `x` and the result have no unit.
+    Deviation: [WSR] bets on both sides and reports a set; here one side, and a share w_j for each strategy.
+
+    Raises:
+        ValueError: no delta or one outside (0, 1), no strategy, or shares that do not sum to 1.
+
+    >>> sequence, past = BettingSequence((0.05,)), Past(imaginary=1)
+    >>> for _ in range(100):
+    ...     sequence.observe(0.75, past)
+    ...     past.add(0.75)
+    >>> sequence.lower()
+    0.724609375
+
+    """
+
+    def __init__(self, deltas: Sequence[float], strategies: Sequence[Strategy] = BOLD_AND_CAREFUL) -> None:
+        if not deltas or not all(0.0 < delta < 1.0 for delta in deltas):
+            raise ValueError(f"every delta must be in (0, 1), at least one is needed; not {list(deltas)}")
+        if not math.isclose(math.fsum(strategy.share for strategy in strategies), 1.0, abs_tol=1e-12):
+            raise ValueError("the shares of the strategies must sum to 1")
+        self._levels = tuple((1.0 + ROUND_OFF) / delta for delta in deltas)
+        self._strategies = tuple(strategies)
+        self._wealth = np.repeat([[strategy.share] for strategy in strategies], GRID, axis=1)  # (strategies, G)
+        self._peak = np.ones(GRID)  # (G,) running maximum of W
+        self._rejected = [0] * len(deltas)
+        self._reach = 1  # candidates from here on have never been bet on
+
+    def rejected(self, level: int = 0) -> int:
+        """Return the largest g such that candidates 1 .. g are rejected at `deltas[level]`."""
+        return self._rejected[level]
+
+    def lower(self, level: int = 0) -> float:
+        """Return the lower bound of the mean at `deltas[level]`, a multiple of 1/G."""
+        return self._rejected[level] / GRID
+
+    def wealth(self) -> Floats:
+        """Return W at the candidates g/G, g = 0 .. G-1; those rejected at every level are no longer updated."""
+        return np.asarray(np.add.reduce(self._wealth, axis=0))
+
+    def observe(self, x: float, past: Past) -> None:
+        """Add a value; `past` contains the values before it and not itself.
+
+        Raises:
+            ValueError: `x` is outside [0, 1].
+
+        """
+        if not 0.0 <= x <= 1.0:
+            raise ValueError(f"a value must be in [0, 1], not {x!r}")
+        # A candidate that is rejected at every level remains so: no wealth is needed there.
+        start = 1 + min(self._rejected)
+        ends = [self._bet(j, strategy, start, x, past) for j, strategy in enumerate(self._strategies)]
+        if (end := max(ends)) > start:
+            self._settle(start, end)
+
+    def _bet(self, j: int, strategy: Strategy, start: int, x: float, past: Past) -> int:
+        """Move the wealth of one strategy; the candidates that it bets on are start .. end - 1."""
+        variance, aim = past.variance, past.mean + strategy.optimism * past.standard_error
+        end = min(math.ceil(aim * GRID), GRID)  # candidates below the mean aimed at: elsewhere the bet is 0
+        if end > start:
+            m, largest = _candidate_means()[start:end], _largest_bets(strategy.cap)[start:end]
+            edge = aim - m
+            # The cap keeps every factor of the wealth at least 1 - cap > 0, even for x = 0.
+            bet = np.minimum(edge / (variance + edge * edge), largest)
+            wealth = self._wealth[j, start:end]
+            np.minimum(wealth * (1.0 + bet * (x - m)), RICHEST, out=wealth)
+        return end
+
+    def _settle(self, start: int, end: int) -> None:
+        peak = self._peak[start:end]
+        np.maximum(peak, np.add.reduce(self._wealth[:, start:end], axis=0), out=peak)
+        self._reach = max(self._reach, end)
+        for level, threshold in enumerate(self._levels):
+            g = self._rejected[level] + 1
+            # L needs *all* of 1 .. g rejected: count on from the last one to the first that is not.
+            accepted = self._peak[g : self._reach] < threshold
+            passed = int(accepted.argmax()) if accepted.any() else len(accepted)
+            self._rejected[level] = g + passed - 1
+
+
+@lru_cache(maxsize=1)
+def _candidate_means() -> Floats:
+    return np.arange(GRID) / GRID  # (G,)
+
+
+@lru_cache(maxsize=16)
+def _largest_bets(cap: float) -> Floats:
+    return np.concatenate(([0.0], cap / _candidate_means()[1:]))  # (G,); nothing is bet on candidate 0

@@ -1,0 +1,1 @@
+"""Method `paper`: Algorithm 1 of [ARA] as printed, and its formulas."""

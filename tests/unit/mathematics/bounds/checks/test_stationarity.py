@@ -1,0 +1,143 @@
+"""One law per start: exact ranks, the exact mean wealth, ties, adaptive returns, drifts, bad input."""
+
+import itertools
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from perfbound.orchestrator.mathematics.bounds.checks.stationarity import (
+    AdaptiveOrderTest,
+    PlannedOrderTest,
+    _Column,
+    _Ranks,
+)
+
+
+def column_of(values: list[float], starts: int | None = 1) -> AdaptiveOrderTest:
+    test = AdaptiveOrderTest(starts=starts)
+    for n, value in enumerate(values):
+        test.observe("a", n, value)
+    return test
+
+
+class TestRanks:
+    @given(st.lists(st.floats(-10, 10), min_size=1, max_size=30, unique=True))
+    def test_the_place_is_the_middle_of_its_rank(self, values: list[float]) -> None:
+        ranks, ties = _Ranks(), np.random.default_rng(0)
+        for n, value in enumerate(values, 1):
+            below = sum(other < value for other in values[: n - 1])
+            assert ranks.place(value, ties) == (below + 0.5) / n
+
+    def test_ties_are_ranked_at_random_and_uniformly(self) -> None:
+        ties = np.random.default_rng(1)
+        places = []
+        for _ in range(3000):
+            ranks = _Ranks()
+            places.append([ranks.place(0.7, ties) for _ in range(3)][2])
+        assert np.bincount(np.round(np.array(places) * 3 - 0.5).astype(int)) == pytest.approx([1000] * 3, rel=0.1)
+
+    def test_the_mean_wealth_over_all_orders_is_one(self) -> None:
+        total = 0.0
+        for order in itertools.permutations(range(6)):
+            column, ties = _Column(), np.random.default_rng(0)
+            for value in order:
+                column.add(column.ranks.place(float(value), ties))
+            total += math.fsum(column._wealth._each)
+        assert total / math.factorial(6) == pytest.approx(1, abs=1e-12)
+
+
+class TestAdaptive:
+    @given(st.lists(st.floats(-5, 5), max_size=60), st.floats(0.1, 10), st.floats(-5, 5))
+    @settings(max_examples=30, deadline=None)
+    def test_only_the_order_of_values_matters(self, values: list[float], scale: float, shift: float) -> None:
+        rounded = [round(value, 2) for value in values]  # so that scaling keeps ties and order
+        assert column_of(rounded).finding() == column_of([scale * value + shift for value in rounded]).finding()
+
+    @pytest.mark.parametrize("sign", [-1.0, 1.0])
+    def test_a_drift_in_either_direction_is_refuted(self, sign: float) -> None:
+        rng = np.random.default_rng(2)
+        values = rng.standard_normal(800) + sign * np.linspace(0, 1, 800)
+        finding = column_of(list(map(float, values))).finding()
+        assert finding.status == "refuted"
+        assert finding.values["threshold"] == 100
+
+    def test_equal_values_refute_nothing(self) -> None:
+        assert column_of([0.75] * 500).finding().status == "not refuted"
+
+    def test_without_a_second_value_it_is_assumed(self) -> None:
+        test = AdaptiveOrderTest()
+        assert test.finding().status == "assumed"
+        for n in range(5):
+            test.observe(n, n, 0.5)
+        assert test.finding().status == "assumed"
+
+    def test_without_a_list_the_first_test_of_a_start_is_discarded(self) -> None:
+        test = AdaptiveOrderTest()
+        for n, value in enumerate([0.1, 0.2, 0.3, 0.4]):
+            test.observe("a", n // 2, value)
+        assert test.finding().values["values"] == 2
+
+    def test_shares_of_the_level_sum_to_one(self) -> None:
+        assert math.fsum(AdaptiveOrderTest()._share(k) for k in range(1, 10_000)) == pytest.approx(1, abs=1e-3)
+        assert [AdaptiveOrderTest(starts=2)._share(k) for k in (1, 2, 3)] == [0.5, 0.5, 0.0]
+
+    def test_the_start_that_drifts_is_named(self) -> None:
+        test = AdaptiveOrderTest(starts=3)
+        rng = np.random.default_rng(3)
+        for n in range(300):
+            for start in range(3):
+                test.observe(start, n, float(rng.standard_normal() + (start == 1) * n / 100))
+        assert (test.finding().status, test.finding().values["start"]) == ("refuted", 1)
+
+
+class TestPlanned:
+    def test_an_opening_and_a_closing_round_catch_a_drift_by_half_a_deviation(self) -> None:
+        rng = np.random.default_rng(4)
+        plan = [(n % 100, float(n >= 400)) for n in range(800)]
+        test, means = PlannedOrderTest(plan), rng.normal(0, 3, 100)
+        for start, time in plan:
+            test.observe(float(means[start] + 0.5 * time + rng.standard_normal()))
+        assert test.finding().status == "refuted"
+
+    def test_different_starts_are_not_compared(self) -> None:
+        test = PlannedOrderTest([(n, float(n)) for n in range(100)])
+        for n in range(100):
+            test.observe(float(n))
+        assert test.finding().status == "assumed"
+
+    def test_the_mean_wealth_over_all_orders_is_one(self) -> None:
+        plan = [("a", 0.0), ("a", 0.0), ("a", 1.0), ("a", 2.0), ("a", 2.0)]
+        total = 0.0
+        for order in itertools.permutations(range(5)):
+            test = PlannedOrderTest(plan)
+            for value in order:
+                test.observe(float(value))
+            total += math.fsum(test._evidence._each)
+        assert total / math.factorial(5) == pytest.approx(1, abs=1e-12)
+
+    def test_the_plan_ends(self) -> None:
+        test = PlannedOrderTest([("a", 0.0)])
+        test.observe(1.0)
+        with pytest.raises(ValueError, match="plan"):
+            test.observe(1.0)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: AdaptiveOrderTest(level=0.0),
+        lambda: AdaptiveOrderTest(starts=0),
+        lambda: AdaptiveOrderTest().observe(0, 0, math.nan),
+        lambda: PlannedOrderTest([]),
+        lambda: PlannedOrderTest([("a", 1.0), ("a", 0.0)]),
+        lambda: PlannedOrderTest([("a", math.inf)]),
+        lambda: PlannedOrderTest([("a", 0.0)]).observe(math.inf),
+    ],
+)
+def test_bad_input_is_refused(call: Callable[[], object]) -> None:
+    with pytest.raises(ValueError, match=r"must|needs"):
+        call()
