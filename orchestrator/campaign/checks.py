@@ -10,8 +10,8 @@ from ...schemas.file.space import space_kind
 from ...schemas.system import SystemSpec
 from ..mathematics.stl.horizon import check_horizon
 from ..mathematics.stl.parser import FormulaError, columns, parse_formula
-from .draws import check_distributions, check_where
 from .objectives import LARGEST
+from .starts import check_distributions, check_where
 
 
 def check(config: CampaignConfig, spec: SystemSpec, source: str) -> None:

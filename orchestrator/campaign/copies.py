@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from ...schemas.ids import RolloutId
 from ...schemas.trajectory.trajectory import Trajectory
 from ..mathematics.bounds.checks.copied_blocks import CopiedBlocks
-from .account import Account
+from .series import Account
 
 MOST = 200
 """Pairs of trajectories that are compared."""

@@ -11,13 +11,12 @@ from ...schemas.result.facts import BoundFact, Header, ObservationFact, Proposal
 from ...schemas.trajectory.trajectory import Trajectory
 from ...schemas.values import Proposal
 from . import counterexample
-from .account import Account
+from .assumption_tests import Refutation
 from .methods import Methods
 from .observation import Observer, Others, Trajectories
-from .refutation import Refutation
+from .proposals import proposal_source
 from .seeds import rollout_seed
-from .series import Series
-from .sources import proposal_source
+from .series import Account, Series
 
 Follow = Callable[[str, int, Proposal, Callable[[Sequence[float]], Proposal | None]], Proposal]
 """(problem, test, the source's proposal, the rival at a given start) -> the proposal to take."""

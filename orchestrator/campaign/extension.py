@@ -8,9 +8,9 @@ from collections.abc import Mapping
 
 from ...schemas.errors import CampaignError, IllegalEvent
 from ...schemas.result.facts import ExtensionFact
-from .account import Account
-from .closing_checks import ClosingChecks
+from .closing.checks import ClosingChecks
 from .plan import ProblemPlan, within_starts
+from .series import Account
 
 
 def extension(accounts: Mapping[str, Account], closing: ClosingChecks, number: int, max_tests: int) -> ExtensionFact:

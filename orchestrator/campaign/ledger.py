@@ -26,17 +26,15 @@ from ...schemas.rollout import RolloutRequest
 from ...schemas.trajectory.trajectory import Trajectory
 from ..store import files as evidence
 from . import state
-from .account import Account
-from .closing_checks import ClosingChecks
+from .closing.checks import ClosingChecks
 from .decisions import Decider, Follow, ProblemDecisions, scores
 from .extension import check_extension
 from .methods import methods
 from .observation import Observer
 from .plan import plans
-from .ports import FactStore, FileStore, RecordedRollouts
-from .recorded import Recorded
+from .ports import FactStore, FileStore, Recorded, RecordedRollouts
 from .restoration import Restoration
-from .series import Series
+from .series import Account, Series
 
 
 @dataclass(slots=True)

@@ -28,9 +28,9 @@ from ..mathematics.bounds.sample import SampleMethod, Terms
 from ..mathematics.bounds.scenario import Risk, ScenarioMethod
 from ..mathematics.gp.kernels import Matern
 from ..mathematics.gp.lattice import Lattice
-from .draws import Draws
 from .observation import by_requirement
 from .plan import UNBOUNDED, Plans, ProblemPlan, unsafe_below, value_range
+from .starts import Draws
 
 PartMethod = RigorousMethod | KrigingMethod | ScenarioMethod
 """A method that bounds one of several requirements."""

@@ -19,7 +19,7 @@ from ..mathematics.gp.lattice import Lattice
 from ..mathematics.gp.points import Points
 from ..mathematics.stl.reach import ANY, Range
 from .clip import hiding, reach_of
-from .spread_points import spread_points
+from .starts import spread_points
 
 UNBOUNDED = (-math.inf, math.inf)
 """The clip of a campaign that has none."""

@@ -1,4 +1,4 @@
-"""The ports of a ledger: stores of facts and of files, in the run directory, in memory, or without effect."""
+"""The ports of a ledger: stores of facts and of files, and the recorded rollouts that are read back from them."""
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
@@ -7,6 +7,8 @@ from typing import Protocol
 
 from ...schemas.ids import RolloutId
 from ...schemas.result.facts import Fact, Header, ProposalFact, RolloutFact
+from ...schemas.trajectory.trajectory import Trajectory, decode
+from ..store import files as evidence
 
 
 class FactStore(Protocol):
@@ -57,3 +59,46 @@ class FileStore(Protocol):
     def __enter__(self) -> None: ...
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None: ...
+
+
+# Recorded rollouts, read back
+
+
+class Recorded:
+    """Starts and trajectories of recorded rollouts, read from the disk; those of open tests are kept in memory.
+
+    Raises:
+        EvidenceError: a file is missing or damaged.
+
+    """
+
+    def __init__(self, directory: Path, store: FactStore) -> None:
+        self._directory, self._store = directory, store
+        self._kept: dict[RolloutId, Trajectory] = {}
+
+    def keep(self, rollout: RolloutId, trajectory: Trajectory) -> None:
+        """Keep the trajectory of a rollout until its test is observed."""
+        self._kept[rollout] = trajectory
+
+    def kept(self, fact: RolloutFact) -> Trajectory:
+        """Return the trajectory of a rollout of an open test; it stays in memory."""
+        # After a restart the rollouts of a test may be recorded and the test not yet observed: they are read again.
+        if fact.rollout not in self._kept:
+            self._kept[fact.rollout] = self.read(fact)
+        return self._kept[fact.rollout]
+
+    def take(self, fact: RolloutFact) -> Trajectory:
+        """Return the trajectory of a rollout whose test is observed now."""
+        return self._kept.pop(fact.rollout, None) or self.read(fact)
+
+    def start(self, rollout: RolloutId) -> tuple[float, ...]:
+        """Return the start of a rollout."""
+        return self._store.proposal(rollout.problem, rollout.test).proposal.x
+
+    def trajectory(self, rollout: RolloutId) -> Trajectory:
+        """Return the trajectory of a rollout."""
+        return self.read(self._store.rollout(rollout))
+
+    def read(self, fact: RolloutFact) -> Trajectory:
+        """Return the trajectory that a fact names."""
+        return decode(evidence.read_evidence(self._directory, fact.path, fact.sha256))

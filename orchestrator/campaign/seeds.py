@@ -85,3 +85,17 @@ def _sequence(header: Header, problem: str, *place: int) -> np.random.SeedSequen
     # With the digest of the file no two campaigns share rollouts. By name: the order of the problems changes none.
     identity = header.config.seed, int(header.config_sha256, 16)
     return np.random.SeedSequence(identity, spawn_key=(zlib.crc32(problem.encode()), *place))
+
+
+BITS = 64
+"""Of the draw that decides on a second opinion."""
+
+
+def is_chosen(header: Header, rollout: RolloutId) -> bool:
+    """Whether a rollout gets a second opinion; it follows from the campaign's seed, which no request contains."""
+    share = header.config.second_opinion
+    if not share:
+        return False
+    text = f"second opinion {header.config.seed} {header.config_sha256} {rollout}"
+    drawn = int.from_bytes(hashlib.sha256(text.encode()).digest()[: BITS // 8], "big")
+    return drawn < share * 2.0**BITS

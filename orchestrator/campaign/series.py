@@ -1,15 +1,28 @@
-"""A series of tests: its open tests by number, and sums over its closed ones."""
+"""The tests of a problem: open ones by number, sums over closed ones, and what the audit needs of rollouts."""
 
 import hashlib
+import math
 from array import array
 from collections.abc import Iterable, MutableSequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from ...schemas.base import canonical_json
 from ...schemas.errors import IllegalEvent
+from ...schemas.file.problem_models import KernelProblem
 from ...schemas.ids import RolloutId
-from ...schemas.result.facts import BoundFact, DiscardFact, ObservationFact, ProposalFact, RolloutFact, next_link
+from ...schemas.result.facts import (
+    BoundFact,
+    DiscardFact,
+    ExtensionFact,
+    ObservationFact,
+    ProposalFact,
+    RolloutFact,
+    extended_link,
+    next_link,
+)
 from ...schemas.values import MARKED, Bound, Observation, ProblemProgress, Proposal, distance_after
+from . import objectives
+from .plan import ProblemPlan
 
 ROUND_OFF = 1e-9
 """A bound recomputed on another CPU may differ by less."""
@@ -126,3 +139,57 @@ def _same_bound(recomputed: Bound, recorded: Bound) -> bool:
     pairs = ((recomputed.upper, recorded.upper), (recomputed.lower, recorded.lower))
     # Equal first: two infinities are the same bound, but their difference is no number.
     return all(a is b if a is None or b is None else a == b or abs(a - b) <= ROUND_OFF for a, b in pairs)
+
+
+# The account of a problem
+
+
+@dataclass(slots=True)
+class Account(Series):
+    """The facts of one problem."""
+
+    plan: ProblemPlan = field(kw_only=True)
+    proposed: list[Proposal] = field(default_factory=list)
+    """The proposals of the closed tests, where a kernel method may be given them again; its kernel rows cost more."""
+    excess: float = -math.inf
+    """Of a gap: the most by which a robustness differed beyond L times the gap; above 0 it dominates nothing."""
+    robustness: MutableSequence[float] = field(default_factory=lambda: array("d"))
+
+    @property
+    def budget(self) -> int:
+        """Tests at most, with the extensions."""
+        return self.budgets[-1] if self.budgets else self.plan.budget
+
+    @property
+    def observed(self) -> list[Observation]:
+        """The observations of the closed tests, in test order."""
+        return list(map(Observation, self.observations, self.each))
+
+    @property
+    def closed(self) -> list[tuple[Proposal, Observation]]:
+        """The closed tests of a problem with a kernel, in test order."""
+        return list(zip(self.proposed, self.observed, strict=True))
+
+    def extend(self, fact: ExtensionFact) -> None:
+        """Take an extension of the campaign."""
+        # In the chain of every problem: one extension and two in steps differ, even where all rollouts are equal.
+        self.link = extended_link(self.link, fact)
+        budget = dict(fact.budgets).get(self.plan.name)
+        if budget is not None:
+            self.budgets.append(budget)
+            # The bound stays as it is, but is no end any more.
+            self.last_bound = replace(self.last_bound, budget=False) if self.last_bound else None
+
+    def observe(self, fact: ObservationFact) -> list[RolloutFact]:
+        """Close an observed test, as every series does, and take the robustness of its rollouts."""
+        rollouts = Series.observe(self, fact)  # by name: `super()` finds no cell in a class with slots
+        if isinstance(self.plan.problem, KernelProblem) and self.last_proposal is not None:
+            self.proposed.append(self.last_proposal)
+        if self.plan.objective.measured == "gap":
+            # The composition needs a gap that dominates the robustness difference in every pair: checked by the audit.
+            robustness = {(each.rollout.variant, each.rollout.replicate): each.robustness or 0.0 for each in rollouts}
+            self.excess = max(self.excess, objectives.excess(self.plan, robustness, fact.observation.each))
+        for rollout in rollouts:
+            if rollout.robustness is not None:
+                self.robustness.append(rollout.robustness)
+        return rollouts

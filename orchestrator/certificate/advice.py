@@ -10,7 +10,7 @@ from ...schemas.file.problem_models import KernelProblem, Problem
 from ...schemas.result.certificate import CertificateClaim, Predicate, ProblemResult
 from ...schemas.result.verdict import Violations
 from ...schemas.values import ProblemProgress
-from ..campaign.needed_tests import FOR_A_FORECAST, FURTHEST, NeededTests, needed_samples, needed_tests
+from ..forecast.needed_tests import FOR_A_FORECAST, FURTHEST, NeededTests, needed_samples, needed_tests
 
 Progress = Callable[[], Sequence[ProblemProgress]]
 MORE = "More tests: a larger `max_tests` in a new campaign."

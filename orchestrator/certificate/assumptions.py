@@ -16,13 +16,12 @@ from ...schemas.file.problem_models import (
     ScenarioProblem,
 )
 from ...schemas.result.certificate import Assumption, CertifiedRegions, Recheck, SpotCheck, Status
-from ..campaign.account import Account
+from ..campaign.assumption_tests import is_dominated, same_values, spread
+from ..campaign.closing.spot_check import SpotSeries
 from ..campaign.ledger import Ledger, observed_discards
 from ..campaign.methods import Methods, kernel
 from ..campaign.plan import UNBOUNDED, ProblemPlan
-from ..campaign.series import Remarked
-from ..campaign.spot_check import SpotSeries
-from ..campaign.tested import is_dominated, same_values, spread
+from ..campaign.series import Account, Remarked
 from ..mathematics.bounds.checks import audit
 from ..mathematics.bounds.kriging.method import KrigingMethod
 from ..mathematics.bounds.paper.formulas import mills_probability

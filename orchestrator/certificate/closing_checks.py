@@ -4,11 +4,11 @@ from collections.abc import Sequence
 
 from ...schemas.result import certificate as document
 from ..campaign.clip import hiding, reach_of
+from ..campaign.closing.risk_check import RiskCheck
+from ..campaign.closing.spot_check import SpotCheck, SpotSeries, tested_variant
 from ..campaign.ledger import Ledger
 from ..campaign.objectives import mean
 from ..campaign.plan import ProblemPlan
-from ..campaign.risk_check import RiskCheck
-from ..campaign.spot_check import SpotCheck, SpotSeries, tested_variant
 from ..mathematics.bounds.checks.spot_check import SpotFinding
 from ..mathematics.bounds.one_law.predictable import CvarSequence
 from ..mathematics.bounds.one_law.share import clopper_pearson_upper, quantile_lower, unseen_share

@@ -9,7 +9,7 @@ from ...schemas.base import digest
 from ...schemas.ids import RolloutId
 from ...schemas.result import certificate as document
 from ...schemas.result.facts import DiscardFact, Header
-from ..campaign.bounded import bounded_accounts
+from ..campaign.bounded_parts import bounded_accounts
 from ..campaign.counterexample import counterexample
 from ..campaign.ledger import Ledger, observed_discards
 from .assumptions import ClosingResults, assumptions

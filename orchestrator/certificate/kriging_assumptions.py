@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 from ...schemas.file.problem_models import KrigingProblem
 from ...schemas.result.certificate import Assumption, Status
-from ..campaign.account import Account
 from ..campaign.plan import value_range
+from ..campaign.series import Account
 from ..mathematics.bounds.checks import audit
 from ..mathematics.bounds.kriging.method import KrigingMethod
 from .sentences import assumption

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from ...schemas.ids import RolloutId
 from ...schemas.result.certificate import Assumption, Predicate
 from ...schemas.result.facts import Header
-from ..campaign.second_opinion import is_chosen
+from ..campaign.seeds import is_chosen
 from ..mathematics.bounds.one_law.share import unseen_share
 from .sentences import assumption
 

@@ -5,8 +5,8 @@ from typing import Literal
 from ...schemas.file.objectives import Sense
 from ...schemas.file.problem_models import Linearised, PaperProblem, RigorousProblem, ScenarioProblem
 from ...schemas.result import certificate as document
-from ..campaign.account import Account
 from ..campaign.plan import ProblemPlan
+from ..campaign.series import Account
 from ..mathematics.bounds.paper.formulas import Tail, mills_probability
 from ..mathematics.bounds.rounding import decimal, floor_to_step, round_down, round_up
 from .bound_text import clip_words

@@ -4,11 +4,11 @@ from collections.abc import Iterator, Mapping, Set
 
 from ...schemas.result.certificate import Assumption
 from ...schemas.system import Variant
-from ..campaign.account import Account
+from ..campaign.assumption_tests import OneLaw
 from ..campaign.copies import copies, tested_copies
 from ..campaign.ledger import Ledger
 from ..campaign.plan import ProblemPlan
-from ..campaign.tested import OneLaw
+from ..campaign.series import Account
 from ..mathematics.bounds.checks import audit
 from ..mathematics.bounds.checks.copied_blocks import LEVEL
 from .sentences import assumption

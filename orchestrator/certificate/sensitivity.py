@@ -12,10 +12,10 @@ from ...schemas.file.composition import composes
 from ...schemas.file.config import CampaignConfig
 from ...schemas.file.problem_models import KernelProblem, RigorousProblem
 from ...schemas.result import certificate as document
-from ..campaign.account import Account
 from ..campaign.clip import by_clip, floored, is_vacuous, least_risk, of_drawn_starts
 from ..campaign.methods import Methods, ProblemMethod, kernel_method
 from ..campaign.plan import Plans, ProblemPlan
+from ..campaign.series import Account
 from ..mathematics.bounds.rounding import decimal
 from .bases import Basis, bases
 from .claims import Results, bound

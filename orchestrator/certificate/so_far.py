@@ -11,10 +11,10 @@ from typing import Any
 from ...schemas.result.certificate import Assumption, Predicate
 from ...schemas.result.facts import Header
 from ...schemas.result.verdict import CampaignVerdict, Violations
-from ..campaign.account import Account
-from ..campaign.bounded import bounded_accounts
+from ..campaign.assumption_tests import OneLaw
+from ..campaign.bounded_parts import bounded_accounts
 from ..campaign.ledger import Ledger
-from ..campaign.tested import OneLaw
+from ..campaign.series import Account
 from ..mathematics.bounds.sample import SampleMethod
 from .assumptions import ClosingResults, assumptions
 from .bases import bases

@@ -33,8 +33,8 @@ def calibrate(*, campaign: Path, rollouts: int, seed: int, workers: int, out: Pa
     from ...schemas.file.draft import load_draft  # noqa: PLC0415
 
     load_draft(campaign)  # a fault of the file is reported before the numerics are loaded
-    from ..report.calibration import calibration_of, closing_lines, constants_table  # noqa: PLC0415
-    from ..run.calibration import CalibrationWish  # noqa: PLC0415
+    from ..prepare.calibrate.calibrate import CalibrationWish  # noqa: PLC0415
+    from ..prepare.calibrate.output import calibration_of, closing_lines, constants_table  # noqa: PLC0415
 
     folder = out or campaign.with_name(f"{campaign.stem}-calibration")
     wish = CalibrationWish(campaign, rollouts, seed, workers, campaign.with_name(f"{campaign.stem}-calibrated.toml"))

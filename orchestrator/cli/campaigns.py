@@ -284,7 +284,7 @@ def list_campaigns(*, folder: Path, search: str, as_json: bool) -> None:
     import time  # noqa: PLC0415
     from dataclasses import asdict  # noqa: PLC0415
 
-    from ..run.listing import campaigns_below, listing  # noqa: PLC0415
+    from ..report.listing import campaigns_below, listing  # noqa: PLC0415
 
     found = [each for each in campaigns_below(folder) if each.has(search)]
     if as_json:

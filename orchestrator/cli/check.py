@@ -46,10 +46,10 @@ def check_system(
     from rich.progress import Progress  # noqa: PLC0415
 
     from ..certificate.verify.stages import stage_bars  # noqa: PLC0415
-    from ..run import system_check  # noqa: PLC0415
+    from ..prepare.check_system import check  # noqa: PLC0415
 
     with Progress(console=STDERR.console, transient=True, disable=not sys.stderr.isatty()) as progress:
-        found = system_check.checked_system(
+        found = check.checked_system(
             system,
             variant=variant,
             horizon=horizon,
@@ -59,8 +59,8 @@ def check_system(
             report=stage_bars(progress),
         )
     if as_json:
-        click.echo(system_check.findings_json(found))
+        click.echo(check.findings_json(found))
     else:
-        system_check.print_findings(found, output_console())
+        check.print_findings(found, output_console())
     if not found.good:
         sys.exit(1)

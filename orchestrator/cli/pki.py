@@ -13,8 +13,8 @@ from .group import cli
 
 if TYPE_CHECKING:
     from ...schemas.link.tls_files import Role
-    from ..fleet.authority import Order
-    from ..run.pki import Issued
+    from ..hosts.authority import Order
+    from ..hosts.pki import Issued
 
 PORT = 7447
 FOLDER = click.Path(path_type=Path)
@@ -38,7 +38,7 @@ def pki() -> None:
 def init_pki(*, folder: Path | None, days: int) -> None:
     """Make the authority: a private key, which stays in its folder, and a certificate."""
     from ...schemas.link.tls_files import time_text  # noqa: PLC0415
-    from ..run.pki import CA_KEY, init_folder, pki_folder  # noqa: PLC0415
+    from ..hosts.pki import CA_KEY, init_folder, pki_folder  # noqa: PLC0415
 
     place = folder or pki_folder()
     end = init_folder(place, days)
@@ -67,8 +67,8 @@ def issue_to(
 ) -> None:
     """Issue the certificate of the worker, orchestrator or router NAME; to renew it, name a new folder with --out."""
     from ..certificate.key_folder import work_tree  # noqa: PLC0415
-    from ..fleet.authority import checked_order  # noqa: PLC0415
-    from ..run import pki as authority  # noqa: PLC0415
+    from ..hosts import pki as authority  # noqa: PLC0415
+    from ..hosts.authority import checked_order  # noqa: PLC0415
 
     if role is None:
         raise click.UsageError("add --worker, --orchestrator or --router")
@@ -88,7 +88,7 @@ def issue_to(
 def list_issued(*, folder: Path | None) -> None:
     """List the issued certificates, each with its end, and the options with which routers let them in."""
     from ...schemas.link.tls_files import time_text  # noqa: PLC0415
-    from ..run.pki import issued, pki_folder  # noqa: PLC0415
+    from ..hosts.pki import issued, pki_folder  # noqa: PLC0415
 
     found = issued(folder or pki_folder())
     for each in found:
@@ -102,7 +102,7 @@ def list_issued(*, folder: Path | None) -> None:
 def _instructions(folder: Path, made: "Issued", known: "Sequence[Issued]") -> list[str]:
     """Return what to do with an issued certificate: where its files go, and the command there."""
     from ...schemas.link.tls_files import time_text  # noqa: PLC0415
-    from ..run.pki import CA  # noqa: PLC0415
+    from ..hosts.pki import CA  # noqa: PLC0415
 
     name, role, there = made.order.name, made.order.role, Path(folder.resolve().name)
     files = (("--tls-ca", CA), ("--tls-certificate", f"{name}.pem"), ("--tls-key", f"{name}-key.pem"))

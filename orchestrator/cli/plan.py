@@ -25,8 +25,8 @@ def plan_command(*, campaign: Path, workers: int, as_json: bool) -> None:
     from ...schemas.file.reader import load_campaign  # noqa: PLC0415
 
     config = load_campaign(campaign)  # a fault of the file is reported before the numerics are loaded
-    from ..run.campaign_plan import plan_campaign  # noqa: PLC0415
-    from ..run.plan_text import plan_json, print_plan  # noqa: PLC0415
+    from ..prepare.plan.plan import plan_campaign  # noqa: PLC0415
+    from ..prepare.plan.text import plan_json, print_plan  # noqa: PLC0415
 
     with STDERR.console.status("planning") as shown:
         found = plan_campaign(config, campaign, workers, shown.update)

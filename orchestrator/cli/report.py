@@ -87,7 +87,7 @@ def score_command(*, directory: Path, specification: str, as_json: bool) -> None
     from rich.progress import Progress  # noqa: PLC0415
 
     from ..certificate.verify.stages import stage_bars  # noqa: PLC0415
-    from ..run.score import score_lines, scored  # noqa: PLC0415
+    from ..report.score import score_lines, scored  # noqa: PLC0415
 
     with Progress(console=STDERR.console, transient=True, disable=not sys.stderr.isatty()) as progress:
         found = scored(directory, specification, stage_bars(progress))

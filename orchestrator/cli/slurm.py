@@ -47,7 +47,7 @@ def slurm(
     from ...schemas.file.reader import load_campaign  # noqa: PLC0415
     from ...schemas.link.secret import given_secret, secret_file, user_secret  # noqa: PLC0415
     from ..fleet.children.child import system_options  # noqa: PLC0415
-    from ..run.slurm_files import ORCHESTRATOR, SlurmOptions, job_files, missing_files  # noqa: PLC0415
+    from ..hosts.slurm_files import ORCHESTRATOR, SlurmOptions, job_files, missing_files  # noqa: PLC0415
 
     config = load_campaign(campaign)
     if jobs["router"] is not None:
@@ -101,7 +101,7 @@ def _check_router(endpoint: str, tls: Path | None) -> None:
 
 
 def _write(folder: Path, texts: dict[str, str]) -> list[str]:
-    from ..run.slurm_files import write_job_files  # noqa: PLC0415
+    from ..hosts.slurm_files import write_job_files  # noqa: PLC0415
 
     try:
         return write_job_files(folder, {name: os.fsencode(text) for name, text in texts.items()})

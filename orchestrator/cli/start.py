@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from ..campaign.questions import DEFAULT, QUESTIONS, question_help
+from ..prepare.init.questions import DEFAULT, QUESTIONS, question_help
 from .early import check_reference
 from .group import cli
 
@@ -26,7 +26,7 @@ def init(*, system: str, question: str, specification: str | None, horizon: floa
 
     The file asks one question. A pilot of some rollouts proposes its numbers. An existing file stays as it is.
     """
-    from ..run.first_campaign import Wish, write_first_campaign  # noqa: PLC0415
+    from ..prepare.init.init import Wish, write_first_campaign  # noqa: PLC0415
 
     for line in write_first_campaign(Wish(system, question, specification, horizon, out)):
         click.echo(line)
@@ -40,7 +40,7 @@ def new_system(*, name: str, out: Path | None) -> None:
 
     An existing folder stays as it is, unless it is empty.
     """
-    from ..run.new_package import write_package  # noqa: PLC0415
+    from ..prepare.init.new_package import write_package  # noqa: PLC0415
 
     for line in write_package(name, out or Path(name)):
         click.echo(line)

@@ -12,9 +12,9 @@ from ...schemas.errors import one_line
 from ...schemas.file.parts import alpha_of
 from ...schemas.file.problem_models import KrigingProblem
 from ...schemas.result.so_far import SoFar
-from ..campaign.forecast import budget
-from ..campaign.outlook import left_in_words, outlook_lines, remaining_tests
 from ..certificate import files
+from ..forecast.outlook import left_in_words, outlook_lines, remaining_tests
+from ..forecast.remaining import budget
 from ..run.continuation import continue_command
 from ..run.format import duration
 from ..run.so_far_table import so_far_view

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...schemas.values import Observation
-from ..campaign import forecast
 from ..campaign.plan import ProblemPlan
+from ..forecast import remaining
 from ..store.read import ObservedTest
 from .data import TestSeries
 
@@ -47,7 +47,7 @@ def signed(value: float | None, sense: str) -> float | None:
 
 def _distance(plan: ProblemPlan, test: ObservedTest) -> float | None:
     # Of several requirements each has its own.
-    return None if plan.parts else forecast.distance(plan.problem, test.proposal.F, test.bound)
+    return None if plan.parts else remaining.distance(plan.problem, test.proposal.F, test.bound)
 
 
 def _choice(plan: ProblemPlan, tests: Sequence[ObservedTest]) -> Sequence[ObservedTest]:

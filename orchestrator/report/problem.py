@@ -18,10 +18,9 @@ from ...schemas.values import MARKED, Bound, Guess, Observation, ProblemProgress
 from ..campaign import consistency
 from ..campaign.clip import by_clip, floored
 from ..campaign.methods import PartMethod, ProblemMethod, method
-from ..campaign.outlook import in_words, left_in_words, remaining_tests
 from ..campaign.plan import ProblemPlan
-from ..campaign.planned_outlook import PlannedOutlooks
 from ..certificate.problem_results import objective
+from ..forecast.outlook import PlannedOutlooks, in_words, left_in_words, remaining_tests
 from ..mathematics.bounds.sample import SampleMethod
 from ..store.changes import Decision
 from ..store.export_tables import robustness_unit, unit

@@ -3,9 +3,9 @@
 from collections.abc import Callable, Mapping
 
 from ..campaign import consistency
-from ..campaign.account import Account
-from ..campaign.bounded import bounded_accounts
+from ..campaign.bounded_parts import bounded_accounts
 from ..campaign.methods import Methods
+from ..campaign.series import Account
 from .service import RunStatus
 
 GROWTH = 1.1

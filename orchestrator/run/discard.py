@@ -8,7 +8,7 @@ from ...schemas.ids import RolloutId
 from ...schemas.ranges import MAX_FILE_BYTES
 from ...schemas.result.facts import DiscardFact, RolloutFact
 from ...schemas.trajectory.trajectory import Trajectory, decode
-from ..campaign.border import objective_fault
+from ..campaign.admission import objective_fault
 from ..campaign.ledger import Ledger
 from ..certificate import files
 from ..store.discard import write_discard

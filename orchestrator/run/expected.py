@@ -10,9 +10,9 @@ from ...schemas.result.so_far import Expected, Span
 from ...schemas.result.verdict import VerdictWord
 from ...schemas.values import Guess, ProblemProgress
 from ..campaign.clip import by_clip, floored
-from ..campaign.forecast import budget
-from ..campaign.outlook import problem_outlook, remaining_tests
 from ..certificate.bases import bases
+from ..forecast.outlook import problem_outlook, remaining_tests
+from ..forecast.remaining import budget
 
 NEARLY_DONE = 0.99
 """The share before the end: a forecast that is too small must not call a campaign done."""

@@ -16,7 +16,7 @@ from ...schemas.file.problem_models import Problem
 from ...schemas.result.certificate import Assumption
 from ...schemas.result.so_far import SoFar
 from ...schemas.values import ProblemProgress
-from ..campaign.outlook import outlook_lines, remaining_tests
+from ..forecast.outlook import outlook_lines, remaining_tests
 from .format import ENDS, duration, figure
 from .json_lines import JsonLines
 from .router_link import is_down

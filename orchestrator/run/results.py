@@ -8,8 +8,7 @@ from ...schemas.ids import Attempt, RolloutId
 from ...schemas.result.facts import RECORDED, RESTORED
 from ...schemas.rollout import RolloutRequest
 from ...schemas.trajectory.trajectory import Trajectory
-from ..campaign.admission import admit
-from ..campaign.border import Admission, Compared
+from ..campaign.admission import Admission, Compared, admit
 from ..campaign.ledger import Ledger, Work
 from ..fleet.dispatch import events
 from ..fleet.link.transport import Result

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from ...schemas.ids import Attempt, RolloutId
 from ...schemas.rollout import RolloutRequest
 from ..campaign.ledger import Ledger
-from ..campaign.second_opinion import is_chosen
+from ..campaign.seeds import is_chosen
 from ..store.journal import Journal
 from .trust import doubted
 

@@ -16,13 +16,13 @@ from ...schemas.file.config import CampaignConfig
 from ...schemas.ids import closing_check
 from ...schemas.values import ProblemProgress
 from ..campaign.ledger import Ledger, Work
-from ..campaign.planned_outlook import PlannedOutlooks
 from ..fleet.children.processes import Fleet
 from ..fleet.dispatch import events, machine
 from ..fleet.dispatch.choice import out_of_favour
 from ..fleet.dispatch.state import DispatchState, Limits, Worker
 from ..fleet.link.inbox import Inbox
 from ..fleet.link.transport import Garbage, Heartbeat, Inbound, Linked, Result, RouterToken, Token, Transport
+from ..forecast.outlook import PlannedOutlooks
 from ..store.commit_times import CommitTimes
 from ..store.journal import Journal
 from .assignments import Assignments

@@ -381,14 +381,16 @@ def _served(
 
 def _beforehand(ledger: "Ledger", *, resumed: bool) -> Iterator[str]:
     """Yield what is known of a campaign before its next test: its scope and cost, and what will not come out."""
-    from ..campaign import closing_checks, consistency, forecast, scope  # noqa: PLC0415
+    from ..campaign import consistency  # noqa: PLC0415
+    from ..campaign.closing import checks  # noqa: PLC0415
+    from ..forecast import remaining  # noqa: PLC0415
 
     plans = ledger.plans
     if not resumed:
-        yield from scope.scope(plans)
-        yield from closing_checks.cost(ledger.header, plans)
+        yield from consistency.scope(plans)
+        yield from checks.cost(ledger.header, plans)
     budgets = {name: replace(each, budget=ledger.accounts[name].budget) for name, each in plans.items()}
-    yield from forecast.warnings(budgets)
+    yield from remaining.warnings(budgets)
     yield from consistency.before(plans, ledger.header.spec)
 
 

@@ -10,9 +10,9 @@ from ...schemas.errors import one_line
 from ...schemas.result.certificate import Assumption
 from ...schemas.result.so_far import Expected, SoFar
 from ...schemas.result.verdict import Violations
+from ..campaign.closing.recheck import Recheck
+from ..campaign.closing.spot_check import spot_check_plan
 from ..campaign.ledger import Ledger
-from ..campaign.recheck import Recheck
-from ..campaign.spot_check import spot_check_plan
 from ..certificate.named_starts import parameter_units, with_named_start
 from ..certificate.so_far import AuditSoFar, Holding, claims_nothing_yet
 from ..store import read

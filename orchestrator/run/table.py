@@ -9,9 +9,9 @@ from ...schemas.file.parts import alpha_of
 from ...schemas.file.problem_models import Problem
 from ...schemas.ids import RECHECK, RISK_CHECK, SHRINK, SPOT_CHECK, closing_check
 from ...schemas.values import ProblemProgress
-from ..campaign import forecast
 from ..campaign.clip import by_clip, floored
 from ..certificate.bound_text import outward
+from ..forecast import remaining
 from .format import ENDS, figure
 
 LEGEND = (
@@ -44,7 +44,7 @@ def remaining_distance(config: CampaignConfig, problem: Problem, progress: Probl
     """Return the quantity that has to fall to alpha: F_i, or upper - lower."""
     if alpha_of(config, problem) is None:
         return None
-    return forecast.distance(problem, progress.F, progress.bound)
+    return remaining.distance(problem, progress.F, progress.bound)
 
 
 def progress_table(
@@ -64,7 +64,7 @@ def progress_table(
         alpha = alpha_of(config, problem)
         found.add_row(
             problem.name,
-            f"{progress.tests} of {forecast.budget(config, problem, progress.extended)}",
+            f"{progress.tests} of {remaining.budget(config, problem, progress.extended)}",
             figure(remaining_distance(config, problem, progress)),
             figure(alpha) if alpha is None else f"{alpha:g}",
             bound_text(config, problem, progress),

@@ -15,7 +15,7 @@ from typing import Any, NoReturn
 
 from rich.console import Console
 
-from ..orchestrator.campaign.border import Admission
+from ..orchestrator.campaign.admission import Admission
 from ..orchestrator.campaign.copies import same_trajectory
 from ..orchestrator.campaign.ledger import Ledger, Work
 from ..orchestrator.campaign.software import software

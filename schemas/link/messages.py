@@ -181,9 +181,9 @@ def _validated(adapter: TypeAdapter[T], payload: bytes) -> T:
         raise MessageError(shortened(f"{where}: {first['msg']}" if where else first["msg"])) from None
 
 
-# Heartbeats. Their interval is .5 s times a power of two: the shortest one at which the whole fleet sends at most `MOST`
-# a second, but never more than a third of `hung_after`, so that two in a row may be lost before a worker counts as
-# hung. A lost worker is found by its liveliness token, whatever the interval.
+# Heartbeats. Their interval is 0.5 s times a power of two: the shortest one at which the whole fleet sends at most
+# `MOST` a second, but never more than a third of `hung_after`, so that two in a row may be lost before a worker counts
+# as hung. A lost worker is found by its liveliness token, whatever the interval.
 
 HEARTBEAT = 0.5
 """Seconds between two heartbeats of a worker that got no other interval; it sends one on each change, too."""

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from perfbound.orchestrator.fleet.authority import certificate_bytes
+from perfbound.orchestrator.hosts.authority import certificate_bytes
 from perfbound.schemas.link import configuration
 from perfbound.schemas.link.configuration import Tls
 from perfbound.schemas.link.unanswered import no_link

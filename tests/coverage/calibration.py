@@ -21,14 +21,14 @@ one_blas_thread()
 import numpy as np  # noqa: E402
 
 from perfbound.orchestrator.campaign import plan as plans  # noqa: E402
-from perfbound.orchestrator.campaign.calibration import ProblemCalibration  # noqa: E402
 from perfbound.orchestrator.campaign.methods import kernel_method  # noqa: E402
 from perfbound.orchestrator.mathematics.bounds.rigorous.method import ExhaustedError, RigorousMethod  # noqa: E402
 from perfbound.orchestrator.mathematics.calibration.norm_growth import needed_norm  # noqa: E402
 from perfbound.orchestrator.mathematics.calibration.sampled import SampledValues  # noqa: E402
-from perfbound.orchestrator.run.calibration import Calibration, CalibrationWish, with_file  # noqa: E402
-from perfbound.orchestrator.run.calibration_pilot import CalibrationPilot  # noqa: E402
-from perfbound.orchestrator.run.calibration_rollouts import RolloutBatch, StartRollout  # noqa: E402
+from perfbound.orchestrator.prepare.calibrate.calibrate import Calibration, CalibrationWish, with_file  # noqa: E402
+from perfbound.orchestrator.prepare.calibrate.constants import ProblemCalibration  # noqa: E402
+from perfbound.orchestrator.prepare.calibrate.pilot import CalibrationPilot  # noqa: E402
+from perfbound.orchestrator.prepare.calibrate.rollouts import RolloutBatch, StartRollout  # noqa: E402
 from perfbound.schemas.file.config import CampaignConfig  # noqa: E402
 from perfbound.schemas.file.draft import Draft, load_draft  # noqa: E402
 from perfbound.schemas.file.problem_models import RigorousProblem  # noqa: E402

@@ -10,7 +10,7 @@ from typing import Any
 import psutil
 import pytest
 
-from perfbound.orchestrator.campaign.system_check.findings import SYSTEM_CHECKS
+from perfbound.orchestrator.prepare.check_system.findings import SYSTEM_CHECKS
 from tests.end_to_end.processes import Ended, Processes
 
 PLANTED = Path(__file__).parent / "planted.py"

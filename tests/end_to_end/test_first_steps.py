@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from perfbound.orchestrator.run.new_package import write_package
+from perfbound.orchestrator.prepare.init.new_package import write_package
 from perfbound.schemas.file.reader import parse_campaign
 from perfbound.schemas.result.certificate import Certificate
 from perfbound.schemas.trajectory.trajectory import decode

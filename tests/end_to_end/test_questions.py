@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from perfbound.orchestrator.campaign.first_file import MOST_KEYS, key_lines
-from perfbound.orchestrator.campaign.questions import QUESTIONS
+from perfbound.orchestrator.prepare.init.file import MOST_KEYS, key_lines
+from perfbound.orchestrator.prepare.init.questions import QUESTIONS
 from perfbound.schemas.result.certificate import Certificate
 from tests.end_to_end.pages import EXAMPLES, PAGE
 from tests.end_to_end.processes import Processes

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from perfbound.orchestrator.fleet.authority import Order, certificate_bytes, issue_certificate, key_bytes
-from perfbound.orchestrator.run.pki import load_signer
+from perfbound.orchestrator.hosts.authority import Order, certificate_bytes, issue_certificate, key_bytes
+from perfbound.orchestrator.hosts.pki import load_signer
 from tests.end_to_end.hosts import Host, hosts, no_namespaces
 from tests.end_to_end.processes import Process, Processes, query, wait_for
 from tests.fakes.certificates import DAY, now

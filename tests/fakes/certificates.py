@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from perfbound.orchestrator.fleet.authority import (
+from perfbound.orchestrator.hosts.authority import (
     Signer,
     certificate_bytes,
     checked_order,

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from perfbound.orchestrator.run import calibration_pilot
-from perfbound.orchestrator.run.calibration_pilot import CalibrationPilot
-from perfbound.orchestrator.run.calibration_rollouts import RolloutBatch, StartRollout
+from perfbound.orchestrator.prepare.calibrate import pilot as calibration_pilot
+from perfbound.orchestrator.prepare.calibrate.pilot import CalibrationPilot
+from perfbound.orchestrator.prepare.calibrate.rollouts import RolloutBatch, StartRollout
 from tests.coverage.calibration import FunctionRollouts, draft, spec
 from tests.coverage.functions import Floats, Function
 from tests.coverage.spot_checks import FAMILIES, LEVEL, OBSERVED, SD

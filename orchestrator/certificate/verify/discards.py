@@ -6,8 +6,7 @@ from ....schemas.errors import EvidenceError
 from ....schemas.ids import RolloutId
 from ....schemas.result.certificate import Certificate
 from ....schemas.result.facts import DiscardFact
-from ...campaign.admission import admit
-from ...campaign.border import objective_fault
+from ...campaign.admission import admit, objective_fault
 from ...campaign.ledger import Ledger
 from ...campaign.observation import Others
 from ..assumptions import DISCARDED

@@ -82,8 +82,8 @@ def _with(state: DispatchState, rollout: RolloutId, known: Open) -> DispatchStat
 
 # A worker that is gone, and a router that comes or goes. A router that dies takes the tokens of all workers behind it
 # along, and those return with it. So for `grace` s after a router has appeared or disappeared, a gone worker has these
-# `grace` s, and not only `lost_after` s. While the orchestrator's own link is down nobody is lost: no other worker could
-# be given the rollout, and none is heard.
+# `grace` s, and not only `lost_after` s. While the orchestrator's own link is down nobody is lost: no other worker
+# could be given the rollout, and none is heard.
 
 
 def router_changed(state: DispatchState, event: RouterChanged) -> DispatchState:

@@ -26,11 +26,11 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from ....schemas.errors import one_line
 from ...run.address import Address
-from ...run.campaign_index import PREFIX
-from ...run.listing import DEPTH
 from ...run.page_access import OPEN, PageAccess
 from .. import html as document
+from ..listing import DEPTH
 from .app import JSON, plain
+from .campaign_index import PREFIX
 from .index_cache import IndexCache
 from .open_campaigns import OpenCampaigns
 from .security import restricted

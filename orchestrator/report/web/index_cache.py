@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from anyio import to_thread
 
-from ...run.campaign_index import CampaignIndex
+from .campaign_index import CampaignIndex
 
 READING = 0.7
 """Seconds of a refresh in which campaigns are read; the rest of a large folder follows in the next ones."""

@@ -13,10 +13,10 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol, RequestResponseCycle
 
 from ...run.address import Address
-from ...run.campaign_index import CampaignIndex
 from ...run.page_access import OPEN, PageAccess
 from ..collect import Collector
 from .app import application
+from .campaign_index import CampaignIndex
 from .index_app import index_application
 from .index_cache import IndexCache
 from .open_campaigns import OpenCampaigns

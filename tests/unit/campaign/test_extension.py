@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 
 import perfbound
+from perfbound.orchestrator.campaign.closing.spot_check import LEVEL
 from perfbound.orchestrator.campaign.extension import extension_words
 from perfbound.orchestrator.campaign.ledger import Ledger
-from perfbound.orchestrator.campaign.spot_check import LEVEL
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.run import service

@@ -10,8 +10,8 @@ import pytest
 from pydantic import ValidationError
 from threadpoolctl import threadpool_limits
 
-from perfbound.orchestrator.campaign.draws import Draws
 from perfbound.orchestrator.campaign.software import software
+from perfbound.orchestrator.campaign.starts import Draws
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.mathematics.bounds.one_law.failures import beta_mixture_upper
 from perfbound.orchestrator.mathematics.search import Falsifier

@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from perfbound.orchestrator.campaign import forecast
 from perfbound.orchestrator.campaign.plan import plan
+from perfbound.orchestrator.forecast import remaining
 from perfbound.schemas.errors import CampaignError
 from perfbound.schemas.file.against_system import check_against
 from perfbound.schemas.file.problem_models import RigorousProblem
@@ -147,10 +147,10 @@ def test_a_csv_file_elsewhere_is_refused(name: str) -> None:
 def test_a_budget_that_cannot_reach_its_tolerance_is_said() -> None:
     chosen = config("segway-pair")
     gap = plan(chosen, load_system(chosen.system.name).spec, chosen.problems[1])
-    sentence = forecast.out_of_reach(gap)
+    sentence = remaining.out_of_reach(gap)
     assert sentence is not None
     assert "100 tests cannot be expected to reach alpha = 0.02" in sentence
-    assert forecast.out_of_reach(replace(gap, budget=2000, noise=0.001)) is None
+    assert remaining.out_of_reach(replace(gap, budget=2000, noise=0.001)) is None
 
 
 def test_tests_left_follow_a_power_law_and_end_with_the_budget() -> None:
@@ -158,8 +158,8 @@ def test_tests_left_follow_a_power_law_and_end_with_the_budget() -> None:
     problem = chosen.problems[0]
     assert isinstance(problem, RigorousProblem)
     start = 2 * problem.rkhs_norm
-    assert forecast.tests_left(chosen, problem, start / 10, 5, None) is None
+    assert remaining.tests_left(chosen, problem, start / 10, 5, None) is None
     # 4/n at n = 100 is .04; alpha = .02 needs n = 200
-    assert forecast.tests_left(chosen, problem, 0.04, 100, None) in (100, 101)
-    assert forecast.tests_left(chosen, problem, 0.9 * start, 100, None) == chosen.max_tests - 100
-    assert forecast.tests_left(chosen, problem, 0.9 * start, 100, 9000) == 8900
+    assert remaining.tests_left(chosen, problem, 0.04, 100, None) in (100, 101)
+    assert remaining.tests_left(chosen, problem, 0.9 * start, 100, None) == chosen.max_tests - 100
+    assert remaining.tests_left(chosen, problem, 0.9 * start, 100, 9000) == 8900

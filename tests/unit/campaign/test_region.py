@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from perfbound.orchestrator.campaign.checks import check
-from perfbound.orchestrator.campaign.draws import BLOCK, Draws, check_where
 from perfbound.orchestrator.campaign.region import condition
+from perfbound.orchestrator.campaign.starts import BLOCK, Draws, check_where
 from perfbound.orchestrator.mathematics.sobol import sobol_blocks
 from perfbound.orchestrator.mathematics.stl.condition import holds
 from perfbound.orchestrator.mathematics.stl.parser import parse_formula
@@ -152,7 +152,7 @@ def test_a_start_whose_first_attempt_is_inside_is_that_of_the_box() -> None:
 
 
 def test_a_region_of_almost_nothing_ends_with_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("perfbound.orchestrator.campaign.draws.MOST_ATTEMPTS", 20)
+    monkeypatch.setattr("perfbound.orchestrator.campaign.starts.MOST_ATTEMPTS", 20)
     with pytest.raises(CampaignError, match=r"^space\.where: a start of the region was not found in 20 attempts"):
         drawn(1, where="x > 0.9999")
 

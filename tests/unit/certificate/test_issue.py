@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from perfbound.orchestrator.campaign.account import Account
 from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.campaign.plan import plan
+from perfbound.orchestrator.campaign.series import Account
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.issue import issue, manifest
 from perfbound.orchestrator.certificate.verify.rerun import MemoryFactStore

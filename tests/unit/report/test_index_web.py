@@ -14,11 +14,11 @@ import pytest
 
 from perfbound.orchestrator.report.web import app, index_cache, open_campaigns
 from perfbound.orchestrator.report.web import snapshots as snapshots_module
+from perfbound.orchestrator.report.web.campaign_index import CampaignIndex
 from perfbound.orchestrator.report.web.index_app import index_application
 from perfbound.orchestrator.report.web.index_cache import IndexCache
 from perfbound.orchestrator.report.web.open_campaigns import OpenCampaigns
 from perfbound.orchestrator.run.address import Address
-from perfbound.orchestrator.run.campaign_index import CampaignIndex
 from perfbound.schemas.file.reader import parse_campaign
 from tests.campaigns import FOLDER, UNCHECKED
 from tests.fakes.inmemory import campaign

@@ -12,13 +12,13 @@ from starlette.routing import Route
 
 from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.report.web import app
+from perfbound.orchestrator.report.web.campaign_index import CampaignIndex
 from perfbound.orchestrator.report.web.index_app import index_application
 from perfbound.orchestrator.report.web.index_cache import IndexCache
 from perfbound.orchestrator.report.web.open_campaigns import OpenCampaigns
 from perfbound.orchestrator.report.web.page_token import MISSING, WRONG, equal, without_token
 from perfbound.orchestrator.report.web.snapshots import SnapshotCache
 from perfbound.orchestrator.run.address import Address
-from perfbound.orchestrator.run.campaign_index import CampaignIndex
 from perfbound.orchestrator.run.page_access import PageAccess, PageTls
 from perfbound.schemas.file.reader import parse_campaign
 from tests.campaigns import FOLDER, UNCHECKED

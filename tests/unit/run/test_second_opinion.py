@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from perfbound.orchestrator.campaign.second_opinion import is_chosen
+from perfbound.orchestrator.campaign.seeds import is_chosen
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.opinions import MOST_NAMED
 from perfbound.orchestrator.certificate.verify.run import verify_certificate

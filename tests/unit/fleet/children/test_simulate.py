@@ -15,8 +15,8 @@ from pydantic import TypeAdapter
 
 from perfbound.orchestrator.fleet.children.child import HangError, ask, installed_systems, system_spec
 from perfbound.orchestrator.fleet.children.family import place_of_stack
-from perfbound.orchestrator.fleet.children.measure import measure_in_children
 from perfbound.orchestrator.fleet.children.simulate import LIMIT, WantedRollout, simulate_to
+from perfbound.orchestrator.prepare.check_system.measure import measure_in_children
 from perfbound.schemas.errors import CampaignError, PerfboundError, Stopped
 from perfbound.schemas.system_check import Measured, Trial
 from tests.unit.run.test_service import an_assign

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from perfbound.orchestrator.fleet.authority import Order
-from perfbound.orchestrator.run.pki import init_folder, issue_files
+from perfbound.orchestrator.hosts.authority import Order
+from perfbound.orchestrator.hosts.pki import init_folder, issue_files
 from perfbound.schemas.link import handshake
 from perfbound.schemas.link.configuration import Tls
 from perfbound.schemas.link.unanswered import no_link, no_orchestrator

@@ -1,0 +1,1 @@
+"""The checks at the end of a campaign: fresh starts, the risk there, a nearer counterexample, the recheck."""

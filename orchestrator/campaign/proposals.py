@@ -1,0 +1,137 @@
+"""Where the tests of a problem come from: its method, or a search for a counterexample."""
+
+import math
+import sys
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+
+from ...schemas.file.problem_models import Falsify
+from ...schemas.result.facts import Header, ObservationFact
+from ...schemas.values import Bound, Proposal
+from ..mathematics.bounds.sample import SampleMethod
+from ..mathematics.search import Falsifier
+from .methods import ProblemMethod
+from .plan import ProblemPlan
+from .region import Start, condition
+from .seeds import first_node, uniform
+from .series import Series
+from .starts import Draws, Listed, of_space
+
+
+class ProposalSource(Protocol):
+    """The source of the tests of one problem; called in the order of its facts."""
+
+    def propose(self, series: Series, test: int) -> Proposal:
+        """Return the next test; it changes nothing."""
+        ...
+
+    def rival(self, series: Series, test: int, x: Sequence[float]) -> Proposal | None:
+        """Return the proposal of `x` (p,) if another CPU, which rounds differently, could have chosen it."""
+        ...
+
+    def observe(self, series: Series, fact: ObservationFact) -> Bound:
+        """Take the observation of the test that the series closed last, once, and return the bound after it."""
+        ...
+
+
+def proposal_source(plan: ProblemPlan, method: ProblemMethod, header: Header) -> ProposalSource:
+    """Return the source that the campaign file asks for."""
+    if plan.falsify is None:
+        return MethodSource(plan, method, header)
+    return SearchSource(plan, plan.falsify, method, header)
+
+
+class MethodSource:
+    """The method of the problem."""
+
+    def __init__(self, plan: ProblemPlan, method: ProblemMethod, header: Header) -> None:
+        self._name, self._method, self._header = plan.name, method, header
+
+    def propose(self, series: Series, test: int) -> Proposal:
+        """Return the next test; the first one follows from the seed."""
+        first = first_node(self._header, self._name, self._method.size) if test == 0 else None
+        return self._method.propose(first, _nodes(series))
+
+    def rival(self, series: Series, test: int, x: Sequence[float]) -> Proposal | None:
+        """Return the proposal of `x` (p,); the first test is drawn by the seed alone and has none."""
+        return self._method.rival(x, _nodes(series)) if test else None
+
+    def observe(self, series: Series, fact: ObservationFact) -> Bound:
+        """Give the observation to the method."""
+        assert series.last_proposal is not None
+        return self._method.observe(series.last_proposal, fact.observation)
+
+
+class SearchSource:
+    """A search, whose tests the method only observes; where starts are drawn, it proposes and observes the drawn ones.
+
+    The bounds of methods `rigorous` and `scenario` hold for every rule that chooses a test from the observations
+    before it, and so for this one.
+    """
+
+    def __init__(self, plan: ProblemPlan, falsify: Falsify, method: ProblemMethod, header: Header) -> None:
+        self._plan, self._method = plan, method
+        # Of candidates every one is in the region.
+        self._region = condition(header.config.where, plan.parameters) if plan.candidates is None else None
+        self._drawn_instead = Draws(header, f"{plan.name}.search") if self._region else None
+        self._space = of_space(header) if plan.candidates is None else Listed(plan.candidates.nodes)
+        low, high = self._space.box
+        seed = int(uniform(header, f"{plan.name}.search", range(1), 1)[0, 0] * 2**53)
+        # Ends of a range that are equal: a parameter that never changes, in a box that has to have an inside.
+        high = np.where(high > low, high, low + 1.0)
+        self._search = Falsifier(
+            low.tolist(), high.tolist(), seed=seed, random_every=falsify.random_every, admitted=self._region
+        )
+
+    def propose(self, series: Series, test: int) -> Proposal:
+        """Return the start that is nearest to the search's, or the next drawn one."""
+        if self._plan.is_drawn(test):
+            return self._method.propose(None, self._drawn(series))
+        # Without noise a repeat shows nothing, and method `rigorous` takes none.
+        taken = [*series.nodes, *_nodes(series)] if self._plan.exact else ()
+        node, x = self._space.nearest(np.array(self._search.propose(_open_starts(series))), taken)
+        # The middle of the box, a rounded start, or a region so small that no candidate of the search is in it.
+        if self._region is not None and self._drawn_instead is not None and not self._region([x])[0]:
+            x = self._drawn_instead.start(test)
+        # A start that is drawn from no list has no number: -1 - test, which no drawn one has.
+        return Proposal(-1 - test if node is None else node, x, None, None, None, None)
+
+    def rival(self, series: Series, test: int, x: Sequence[float]) -> Proposal | None:
+        """Return the proposal of `x` (p,) if it is a start of the space and as good as the search's own."""
+        if self._plan.is_drawn(test):
+            return self._method.rival(x, self._drawn(series))
+        own = self.propose(series, test)
+        node, nearest = self._space.nearest(np.array(x), ())
+        if nearest != tuple(x) or (self._region is not None and not self._region([nearest])[0]):
+            return None
+        # Rounding grows in the fit of the length scales, so another CPU may choose a start that is far from this one.
+        if not self._search.is_as_good(nearest, own.x, _open_starts(series)):
+            return None
+        return Proposal(own.node if node is None else node, nearest, None, None, None, None)
+
+    def observe(self, series: Series, fact: ObservationFact) -> Bound:
+        """Give the worst robustness of the test to the search, and the observation to the method if it is evidence."""
+        proposal = series.last_proposal
+        assert proposal is not None
+        # The worst, not the mean: one rollout below 0 is the counterexample.
+        worst = min((each.robustness for each in series.last_rollouts if each.robustness is not None), default=math.inf)
+        self._search.observe(proposal.x, max(-sys.float_info.max, min(worst, sys.float_info.max)))
+        if self._plan.is_evidence(fact.test):
+            return self._method.observe(proposal, fact.observation)
+        # A start that was chosen by the outcomes before it is no sample: the bound is that of the samples so far.
+        assert isinstance(self._method, SampleMethod)
+        return self._method.bound()
+
+    def _drawn(self, series: Series) -> list[int]:
+        return [fact.proposal.node for test, fact in series.proposals.items() if self._plan.is_drawn(test)]
+
+
+def _nodes(series: Series) -> list[int]:
+    # Tests in flight: a method counts them as observed, so that a window > 1 does not repeat one start.
+    return [fact.proposal.node for fact in series.proposals.values()]
+
+
+def _open_starts(series: Series) -> list[Start]:
+    return [fact.proposal.x for fact in series.proposals.values()]

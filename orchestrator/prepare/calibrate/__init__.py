@@ -1,0 +1,1 @@
+"""`perfbound calibrate`: the constants of a kernel from rollouts, each with its reason, and a campaign file."""

@@ -1,0 +1,1 @@
+"""`perfbound init`: the first campaign file of a system."""

@@ -1,0 +1,281 @@
+"""`perfbound init`: a pilot of a few rollouts in one child process, and a campaign file with what follows from it."""
+
+import os
+import shlex
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ....schemas import atomic
+from ....schemas.errors import PerfboundError
+from ....schemas.file.method_spaces import FIXED_STARTS, LATTICE_PARAMETERS
+from ....schemas.file.objectives import OBJECTIVES, ProblemName, rolled_out
+from ....schemas.file.parameters import signal_shapes
+from ....schemas.file.reader import parse_campaign
+from ....schemas.file.space import SystemChoice
+from ....schemas.system import SystemSpec, Variant
+from ....schemas.trajectory.trajectory import Floats
+from ...campaign import plan
+from ...campaign.checks import check_new
+from ...fleet.children.child import in_file, named_campaign, resolved, system_spec
+from ...fleet.children.simulate import chosen_horizon
+from ...forecast.remaining import least_distance
+from ..check_system.files import to_declare
+from . import constants as pilot
+from .constants import Constants, FirstValues
+from .file import FirstCampaign
+from .pilot import SECONDS, Pilot, PilotError, PilotPlan, run_pilot
+from .questions import QUESTIONS, first_samples, first_size, unknown_question
+
+REACH = 2.0
+"""`alpha` is at least so many times what the tests could reach if all were at one start."""
+CALIBRATED = ("worst",)
+"""Questions about the worst start of a box, whose file is a draft for `perfbound calibrate` as well."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What a first campaign is about, as the command line names it."""
+
+    reference: str
+    """The system, a name, FILE.py:NAME or a campaign file."""
+    question: str
+    """A key of `QUESTIONS`."""
+    specification: str | None
+    """None for a harmless formula."""
+    horizon: float | None
+    """In s; None for the one that the system assumes."""
+    out: Path | None
+
+
+def write_first_campaign(wish: Wish) -> Iterator[str]:
+    """Write a campaign file for a system, and yield lines of progress.
+
+    Where a rollout of the pilot fails, the constants are guesses, and the file says so.
+
+    Raises:
+        CampaignError: the system is not installed, or cannot be loaded.
+        PerfboundError: the question does not fit the system, the specification is none of its columns, or the file
+            exists or cannot be written.
+
+    """
+    if wish.question not in QUESTIONS:
+        raise PerfboundError(unknown_question(wish.question))
+    question = QUESTIONS[wish.question]
+    known = named_campaign(wish.reference)
+    spec = system_spec(wish.reference, "SYSTEM").spread(() if known is None else signal_shapes(known.space))
+    if wish.specification is None and known is not None and known.specification:
+        wish = replace(wish, specification=known.specification)
+    folder = Path(wish.reference).parent if known else Path()
+    out = wish.out or folder / f"{spec.name}.toml"
+    _check_unwritten(out)
+    variants, choice = _variants(spec, wish.question), _system_choice(wish.reference, out)
+    horizon = chosen_horizon(spec, wish.horizon)
+    score = pilot.score(wish.specification, spec)
+    yield f"{spec.name}: a pilot of a few rollouts, for about {SECONDS:g} s at most"
+    cost = None
+    limit = SECONDS if known is None else min(SECONDS, known.deadline)
+    try:
+        found = run_pilot(PilotPlan(wish.reference, spec, choice.options, variants, horizon, limit), score)
+        basis, news, cost = (
+            _proposal(wish, spec, found),
+            f"{question.values} proposed from {found.size}",
+            found.cost,
+        )
+        choice = _with_files(choice, found.undeclared)
+    except PilotError as error:
+        basis = _guess(wish, spec, horizon, str(error))
+        news = f"{question.values} guessed, because the pilot failed: {error}"
+    if basis.horizon == 0 and wish.horizon:
+        raise PerfboundError(
+            f"--horizon {wish.horizon:g}: rollouts of {spec.name} are one sample, which has none; remove this option"
+        )
+    if basis.horizon == 0 and not all(OBJECTIVES[problem].static for problem in question.problems):
+        raise PerfboundError(
+            f"--question {wish.question}: rollouts of {spec.name} are one sample, and this question needs longer ones; "
+            "choose --question worst"
+        )
+    campaign = _reachable(_first_campaign(wish, spec, choice, basis, cost))
+    text = campaign.text()
+    check_new(parse_campaign(text.encode(), str(out)), spec, str(out))
+    try:
+        atomic.write_new({out.absolute(): (text.encode(), 0o666)})
+    except FileExistsError:
+        raise _exists(out) from None
+    yield f"{out}: {news}"
+    file, edit = shlex.quote(str(out)), "" if wish.specification else "Edit its specification. "
+    if campaign.noisy and wish.question in CALIBRATED and len(spec.parameters) <= LATTICE_PARAMETERS:
+        yield (
+            f"Rollouts are noisy. perfbound calibrate {file} proposes constants from more of them, and says whether "
+            "method kriging may be expected to prove more."
+        )
+    yield f"{edit}Check the system: perfbound check-system {file}. Then: perfbound run {file}"
+
+
+def _check_unwritten(out: Path) -> None:
+    if out.exists():
+        raise _exists(out)
+    if not out.absolute().parent.is_dir():
+        raise PerfboundError(f"{out}: there is no such folder; make it, or choose another --out")
+
+
+def _exists(out: Path) -> PerfboundError:
+    return PerfboundError(f"{out}: exists already and stays as it is; choose another --out")
+
+
+def _variants(spec: SystemSpec, question: str) -> tuple[Variant, ...]:
+    """Return the variants that a question simulates, each once."""
+    found = dict.fromkeys(variant for problem in QUESTIONS[question].problems for variant in rolled_out(problem, spec))
+    if missing := set(found) - set(spec.variants):
+        raise PerfboundError(
+            f"--question {question}: {spec.name} has no variant {', '.join(sorted(missing))}; give it two variants, "
+            "nominal and true, or choose --question worst"
+        )
+    for each in spec.parameters:
+        if not each.low < each.high:
+            raise PerfboundError(f"{spec.name}: the range of {each.name} is empty; give it a low below its high")
+    return tuple(found)
+
+
+def _proposal(wish: Wish, spec: SystemSpec, found: Pilot) -> FirstValues:
+    """Return what follows from a pilot."""
+    scores, specification, about = found.scores, wish.specification, ""
+    question = QUESTIONS[wish.question]
+    if specification is None:
+        column, every = spec.columns[1].name, _all(scores)
+        limit, _ = pilot.covering(every, 0.1, 0.0)
+        specification = _above(column, limit, found.horizon)
+        scores = {variant: each - limit for variant, each in scores.items()}
+        about = f"This formula holds in the whole pilot, where {column} was at least {every.min():g}: put yours here."
+    elif not question.drawn:
+        about = "The constants below fit this formula."
+    clip = pilot.clip_around(_all(scores))
+    lengths = tuple(pilot.length_scales(spec.parameters).values())
+    constants = {
+        name: pilot.proposed(
+            lengths,
+            found.starts,
+            _objective(name, spec, scores),
+            noisy=_noisy(name, spec),
+            half_range=(clip[1] - clip[0]) / 2,
+        )
+        for name in ([] if question.drawn else question.problems)
+    }
+    source = f"{question.values.capitalize()} proposed from {found.size}."
+    return FirstValues(source, found.horizon, specification, about, clip, constants)
+
+
+def _above(column: str, limit: float, horizon: float) -> str:
+    """Return a formula that suits rollouts of one sample, where the horizon is 0, and longer ones."""
+    return f"always ({column} >= {limit!r})" if horizon else f"{column} >= {limit!r}"
+
+
+def _all(scores: dict[Variant, Floats]) -> Floats:
+    return np.concatenate([each.ravel() for each in scores.values()])
+
+
+def _objective(name: ProblemName, spec: SystemSpec, scores: dict[Variant, Floats]) -> Floats:
+    """Return the maximised objective of a problem, shape (n, k)."""
+    if name != "sim_gap":
+        return -scores[rolled_out(name, spec)[0]]
+    nominal, true = scores["nominal"], scores["true"]
+    count = max(nominal.shape[1], true.shape[1])
+    return np.stack([nominal[:, k % nominal.shape[1]] - true[:, k % true.shape[1]] for k in range(count)], axis=1)
+
+
+def _noisy(name: ProblemName, spec: SystemSpec) -> bool:
+    return bool(set(rolled_out(name, spec)) & set(spec.noisy))
+
+
+def _guess(wish: Wish, spec: SystemSpec, horizon: float, fault: str) -> FirstValues:
+    """Return numbers to replace, where no pilot shows better ones."""
+    question = QUESTIONS[wish.question]
+    unfit = "" if question.drawn else "The constants below do not follow from this formula, because the pilot failed."
+    return FirstValues(
+        source=f"{question.values.capitalize()} GUESSED, because the pilot failed: {fault}",
+        horizon=horizon,
+        specification=wish.specification or _above(spec.columns[1].name, 0.0, horizon),
+        about=unfit if wish.specification else "Put your formula here.",
+        clip=(-10.0, 10.0),
+        constants={
+            name: Constants(0.0, 30.0, "derived" if _noisy(name, spec) else 0.0, 1.0)
+            for name in ([] if question.drawn else question.problems)
+        },
+        guess=" This one is a guess.",
+    )
+
+
+def _reachable(campaign: FirstCampaign) -> FirstCampaign:
+    """Return the campaign with an `alpha` for each problem that its tests can reach."""
+    if campaign.question.drawn:
+        return campaign
+    plans = plan.plans(parse_campaign(campaign.text().encode(), "campaign.toml"), campaign.spec)
+    constants = {
+        name: replace(each, alpha=max(each.alpha, pilot.rounded_up(REACH * least_distance(plans[name]))))
+        for name, each in campaign.basis.constants.items()
+    }
+    return replace(campaign, basis=replace(campaign.basis, constants=constants))
+
+
+def _first_campaign(
+    wish: Wish, spec: SystemSpec, choice: SystemChoice, basis: FirstValues, cost: float | None
+) -> FirstCampaign:
+    question = QUESTIONS[wish.question]
+    names = question.problems
+    noisy = frozenset(name for name in names if _noisy(name, spec))
+    needs_clip = question.always_clip or (
+        question.clip and any(_noisy(name, spec) or not OBJECTIVES[name].static for name in names)
+    )
+    variants = sum(len(rolled_out(name, spec)) for name in noisy or names)
+    many = len(spec.parameters) > LATTICE_PARAMETERS
+    return FirstCampaign(
+        spec=spec,
+        system=choice,
+        command=f"perfbound init {shlex.quote(wish.reference)} --question {wish.question}",
+        question=question,
+        basis=basis if needs_clip else replace(basis, clip=None),
+        lengths=pilot.length_scales(spec.parameters),
+        candidates=FIXED_STARTS["rigorous"].default if not question.drawn and many else None,
+        size=first_samples(cost) if question.drawn else first_size(cost, noisy=bool(noisy), variants=variants),
+        noisy=noisy,
+        cost=cost,
+    )
+
+
+def _with_files(choice: SystemChoice, undeclared: Sequence[str]) -> SystemChoice:
+    """Return `[system]` with the files that rollouts have read, which are named from the folder of the system."""
+    if not undeclared:
+        return choice
+    folder = os.path.dirname(choice.python or "")
+    names = (name if os.path.isabs(name) else os.path.normpath(os.path.join(folder, name)) for name in undeclared)
+    return choice.model_copy(update={"files": (*(choice.files or ()), *to_declare(names))})
+
+
+def _system_choice(reference: str, out: Path) -> SystemChoice:
+    """Return `[system]` of a campaign file `out`; the path of a system in a file is relative to it.
+
+    Raises:
+        PerfboundError: it cannot be named from there.
+
+    """
+    file = Path(reference)
+    campaign, found = named_campaign(reference), resolved(reference)
+    if campaign is not None and campaign.system.program is not None:
+        if out.absolute().parent != file.absolute().parent:
+            raise PerfboundError(
+                f"{out}: a program belongs to the folder of its campaign file; choose --out beside {file}"
+            )
+        return campaign.system
+    if campaign is not None:
+        raise PerfboundError(
+            f"{file}: this is a campaign file already; give its system: {campaign.system.python or found}"
+        )
+    if not in_file(found):
+        return SystemChoice.model_validate({"name": found})
+    path, _, name = found.rpartition(":")
+    relative = os.path.relpath(Path(path).absolute(), out.absolute().parent)
+    if ":" in relative:
+        raise PerfboundError(f"{relative}: a campaign file takes no ':' in the path of a system; rename the folder")
+    return SystemChoice.model_validate({"python": f"{relative}:{name}"})

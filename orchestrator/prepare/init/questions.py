@@ -1,0 +1,375 @@
+"""The questions that `perfbound init` writes a campaign file for: one row each.
+
+The help of the command, the error for another question and the table of the docs are made from the rows. The module
+loads neither pydantic nor numpy, because the command line reads it for every command.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from ....schemas.errors import meant
+from ....schemas.file.toml_text import toml_comment, toml_value
+
+if TYPE_CHECKING:
+    from ....schemas.file.objectives import ProblemName
+    from .constants import Constants
+    from .file import FirstCampaign
+
+Lines = Callable[["FirstCampaign"], Iterator[str]]
+
+
+def _none(_: "FirstCampaign") -> Iterator[str]:
+    return iter(())
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """One question, and the part of a campaign file that asks it."""
+
+    words: str
+    """The question."""
+    claim: str
+    """What answers it, in one line."""
+    key: str
+    """The key of the file that asks it."""
+    keys: Lines
+    """Returns the lines of its keys, before system and space."""
+    ending: Lines = _none
+    """Returns its lines after them: tables, and claims."""
+    problems: tuple["ProblemName", ...] = ("robustness",)
+    drawn: bool = False
+    """Whether its starts are drawn: it needs no constants, and asks for a number of samples."""
+    clip: bool = True
+    """Whether a clip is written where rollouts are noisy; the bound of a frequency or of an order needs none."""
+    always_clip: bool = False
+    """Whether it is also written where nothing is random."""
+
+    @property
+    def values(self) -> str:
+        """What a pilot proposes for it, in words with their verb."""
+        if not self.drawn:
+            return "the constants are"
+        return "the clip and the number of samples are" if self.clip else "the number of samples is"
+
+
+def _clip_lines(campaign: "FirstCampaign") -> Iterator[str]:
+    basis = campaign.basis
+    if basis.clip is not None:
+        yield from toml_comment(
+            "Range to which the robustness, the margin to a violation, is clipped; the claim is about the clipped "
+            f"one. Choose it so that it contains nearly all values.{basis.guess}"
+        )
+        yield f"clip = {toml_value(list(basis.clip))}"
+
+
+def _worst(campaign: "FirstCampaign") -> Iterator[str]:
+    yield from _clip_lines(campaign)
+    yield from _sizes(campaign, "Tests at most")
+    yield from _constants(campaign, "robustness")
+    yield from toml_comment(
+        "Distances in each parameter over which the robustness changes its course, an assumption. Without this key: "
+        "half of each range, of more than three parameters the whole range."
+    )
+    yield f"# {_kernel(campaign)}"
+
+
+def _fails(campaign: "FirstCampaign") -> Iterator[str]:
+    yield from toml_comment(
+        "Search for a start that fails: the first test that violates the specification ends the campaign, and is its "
+        "answer. Every fourth test is drawn at random; if none fails, these say how often it fails at most."
+    )
+    yield "falsify = {}"
+    yield "# Tests at most."
+    yield f"max_tests = {min(campaign.size.max_tests, MOST_SEARCHED)}"
+
+
+def _safe(campaign: "FirstCampaign") -> Iterator[str]:
+    yield "# Divide the box: the starts that are certified safe, those that are certified unsafe, and the others."
+    yield "regions = true"
+    yield from _worst(campaign)
+
+
+def _samples(campaign: "FirstCampaign") -> Iterator[str]:
+    yield from _clip_lines(campaign)
+    samples = campaign.size.max_tests
+    slow = "" if campaign.cost is None or samples > FEW else f" A rollout takes about {campaign.cost:.2g} s."
+    yield from toml_comment(
+        f"Number of samples, fixed beforehand. More of them give a sharper claim: without a violation, {samples} show "
+        f"at 95 % that at most {100 * (1 - 0.05 ** (1 / samples)):.2g} % fail.{slow}"
+    )
+    yield f"max_tests = {samples}"
+
+
+MOST_SEARCHED = 299
+"""Tests of a first search."""
+FEW = 298
+"""Samples that show less than 1 %."""
+
+
+def _rare(campaign: "FirstCampaign") -> float:
+    """Return the level of the worst cases that the number of samples can show."""
+    return 0.01 if campaign.size.max_tests > FEW else 0.05
+
+
+def _how_often(_: "FirstCampaign") -> Iterator[str]:
+    yield ""
+    yield "[[claims]]"
+    yield 'quantity = "failure_probability"'
+
+
+def _next_claim(_: "FirstCampaign") -> Iterator[str]:
+    yield ""
+    yield "[[claims]]"
+    yield 'quantity = "next_rollout"'
+    yield "# Probability with which the next rollout may be below the bound."
+    yield "level = 0.05"
+
+
+def _worst_cases(campaign: "FirstCampaign") -> Iterator[str]:
+    level = _rare(campaign)
+    yield ""
+    yield from toml_comment(
+        f"The robustness that all rollouts but {100 * level:g} % reach; the mean of the worst {100 * level:g} %; and "
+        "what all starts but a tenth reach, of noisy rollouts as a mean."
+    )
+    yield "claims = ["
+    for quantity, share in (("quantile", level), ("cvar", level), ("share_of_starts", 0.1)):
+        yield f"    {toml_value({'quantity': quantity, 'level': share})},"
+    yield "]"
+
+
+def _transfer(campaign: "FirstCampaign") -> Iterator[str]:
+    yield from _clip_lines(campaign)
+    yield "# How the rollouts of the two variants are compared, and the two bounds become one claim."
+    yield 'gap = { kind = "robustness" }'
+    yield 'composition = "pointwise"'
+    yield from _sizes(campaign, "Tests of a problem at most")
+
+
+_ABOUT: Mapping["ProblemName", str] = {
+    "nominal_robustness": "Lower bound of the worst mean robustness of the variant nominal.",
+    "sim_gap": "Upper bound of how much less robust the variant true is than nominal, as a mean.",
+}
+
+
+def _both_problems(campaign: "FirstCampaign") -> Iterator[str]:
+    for name, about in _ABOUT.items():
+        yield ""
+        yield from toml_comment(about)
+        yield "[[problems]]"
+        yield f'name = "{name}"'
+        yield from _constants(campaign, name)
+        yield "# Distances in each parameter over which the objective changes its course: assumptions."
+        yield _kernel(campaign)
+
+
+def _kernel(campaign: "FirstCampaign") -> str:
+    return f"kernel = {toml_value({'length_scale': campaign.lengths})}"
+
+
+def _sizes(campaign: "FirstCampaign", tests: str) -> Iterator[str]:
+    """Yield the number of tests, and the sizes of the closing checks where the defaults would take long."""
+    size, full = campaign.size, campaign.full_size
+    yield from toml_comment(f"{tests}; the bound is valid whenever they end.{_fewer_rollouts(campaign)}")
+    yield f"max_tests = {size.max_tests}"
+    if size.spot_check == full.spot_check:
+        return
+    default = f"without these two keys {full.spot_check} each" if campaign.noisy else f"without it {full.spot_check}"
+    yield from toml_comment(
+        f"Tests of the check at the end, fewer since a rollout takes about {campaign.cost or 0.0:.2g} s: {default}."
+    )
+    yield f"spot_check = {size.spot_check}"
+    if campaign.noisy:
+        yield f"spot_check_followups = {size.spot_check}"
+
+
+def _fewer_rollouts(campaign: "FirstCampaign") -> str:
+    """Return how the tests of slow rollouts differ from those of quick ones; empty if they do not."""
+    size, full, problems = campaign.size, campaign.full_size, campaign.question.problems
+    slow = f" A rollout takes about {campaign.cost or 0.0:.2g} s, so this first campaign is small"
+    quick = f"where rollouts are quick, `perfbound init` writes max_tests = {full.max_tests}"
+    if size.replicates < full.replicates:
+        each = f"that is {full.max_tests} tests of {full.replicates} rollouts each"
+        if len(problems) > 1:  # those without noise have one rollout in each test, whatever it takes
+            where = f" for {' and '.join(name for name in problems if name in campaign.noisy)}, {each}"
+        else:
+            where = f", {each}: {full.max_tests * full.replicates} rollouts in place of {size.max_tests}"
+        return (
+            f"{slow}: one rollout a test. More rollouts prove more: {quick} and replicates = {full.replicates}{where}."
+        )
+    return f"{slow}. More tests prove more: {quick}." if size.max_tests < full.max_tests else ""
+
+
+def _constants(campaign: "FirstCampaign", name: "ProblemName") -> Iterator[str]:
+    found, guess = campaign.basis.constants[name], campaign.basis.guess
+    objective = "the difference" if name == "sim_gap" else "-robustness"
+    yield "# The problem stops when its bounds are so near, or after max_tests: both give valid bounds."
+    yield f"alpha = {found.alpha!r}"
+    yield f"# About the mean of {objective} over all starts.{guess}"
+    yield f"prior_mean = {found.prior_mean!r}"
+    yield from toml_comment(
+        f"B, the norm of {objective} minus prior_mean for the kernel: the main assumption. It is above every distance "
+        f"from prior_mean; a larger one is safer and proves less.{guess}"
+    )
+    yield f"rkhs_norm = {found.rkhs_norm!r}"
+    yield from _noise_lines(found)
+    if name in campaign.noisy and campaign.size.replicates > 1:
+        yield "# Rollouts of a test, with different seeds."
+        yield f"replicates = {campaign.size.replicates}"
+
+
+def _noise_lines(found: "Constants") -> Iterator[str]:
+    yield from toml_comment(_NOISE.get(found.noise_scale, _NOISE_NUMBER))
+    yield f"noise_scale = {toml_value(found.noise_scale)}"
+
+
+_NOISE: Mapping[float | str, str] = {
+    0.0: "The rollouts do not depend on the seed.",
+    "derived": "R, the noise of one rollout: derived from the clip, no assumption. The standard deviation at the "
+    "noisiest start, as a number, is an assumption and proves more.",
+}
+_NOISE_NUMBER = (
+    "R, the noise of one rollout: 1.5 times the largest standard deviation of two rollouts at a start, an assumption. "
+    "It is often three times the typical one, because it has to hold at the noisiest start; one from many rollouts "
+    'there proves more. "derived" follows from the clip, assumes nothing and proves less.'
+)
+
+QUESTIONS: Mapping[str, Question] = {
+    "worst": Question(
+        "How bad is the worst start?",
+        "the worst robustness over all starts, of noisy rollouts the worst mean, is at least this",
+        "rkhs_norm = ...",
+        _worst,
+    ),
+    "fails": Question(
+        "Is there a start from which it fails?",
+        "a start that fails; or, where none is found, at most this share of all rollouts violates the specification",
+        "falsify = {}",
+        _fails,
+        drawn=True,
+        clip=False,
+    ),
+    "safe": Question(
+        "Where is it safe?",
+        "shares of the box that are certified safe, certified unsafe or undecided, as map and list",
+        "regions = true",
+        _safe,
+    ),
+    "how-often": Question(
+        "How often does it fail?",
+        "at most this share of all rollouts violates the specification",
+        'quantity = "failure_probability"',
+        _samples,
+        _how_often,
+        drawn=True,
+        clip=False,
+    ),
+    "worst-cases": Question(
+        "How bad are the worst cases?",
+        "a quantile, the mean of the worst share, and what nearly all starts reach, are at least these",
+        'claims = [{ quantity = "quantile", level = 0.01 }, ...]',
+        _samples,
+        _worst_cases,
+        drawn=True,
+        always_clip=True,
+    ),
+    "next": Question(
+        "How bad may the next rollout be?",
+        "one more rollout has at least this robustness, with this probability",
+        'quantity = "next_rollout"',
+        _samples,
+        _next_claim,
+        drawn=True,
+        clip=False,
+    ),
+    "transfer": Question(
+        "Does the claim carry over to the true system?",
+        "the risk of the variant true is at least this, from nominal rollouts and the gap to the true ones",
+        'composition = "pointwise"',
+        _transfer,
+        _both_problems,
+        problems=("nominal_robustness", "sim_gap"),
+    ),
+}
+"""By the value of `--question`; the first one is the default."""
+DEFAULT = next(iter(QUESTIONS))
+
+
+def question_help() -> str:
+    """Return the help of `--question`."""
+    return " ".join(f"{name}: {each.words}" for name, each in QUESTIONS.items())
+
+
+def unknown_question(name: str) -> str:
+    """Return the error for a question that has no row."""
+    known = "; ".join(f"{each} ({row.words})" for each, row in QUESTIONS.items())
+    return f"--question {name}: there is no such question; {meant(name, QUESTIONS)}choose one of {known}"
+
+
+def docs_table() -> str:
+    """Return the rows as a table in Markdown."""
+    rows = (f"| `{name}` | {each.words} | {each.claim} |" for name, each in QUESTIONS.items())
+    return "\n".join(["| `--question` | question | claim |", "|---|---|---|", *rows])
+
+
+# The size of a first campaign
+
+SECONDS, WORKERS = 60.0, 2
+"""Duration of a first campaign, and the local workers of `perfbound run`."""
+LEAST_COST = 0.005
+"""Seconds that any rollout costs, with its file and its place in the database."""
+FEWEST_TESTS, FEWEST_STARTS = 20, 20
+RECHECK = 20
+PER_SECOND = 120.0
+"""Rollouts that the orchestrator records, whatever the workers can do."""
+FEWEST_SAMPLES, MOST_SAMPLES = 59, 2995
+"""Samples without a violation that show at most 5 % and .1 %, at 95 %."""
+
+
+@dataclass(frozen=True, slots=True)
+class FirstSize:
+    """How many rollouts a first campaign has."""
+
+    max_tests: int
+    replicates: int
+    """Of each test whose rollouts depend on the seed."""
+    spot_check: int = 299
+    recheck: int = RECHECK
+
+    def rollouts(self, variants: int) -> int:
+        """Return the largest number of rollouts, with `variants` rollouts for each replicate of a test."""
+        return self.max_tests * self.replicates * variants + self.spot_check * variants + self.recheck
+
+
+NOISY, EXACT = FirstSize(60, 8), FirstSize(100, 1)
+"""Of campaigns whose rollouts cost little."""
+
+
+def first_size(cost: float | None, *, noisy: bool, variants: int) -> FirstSize:
+    """Return the size for rollouts that take `cost` seconds each; None if that is not known.
+
+    >>> first_size(0.001, noisy=True, variants=1) == NOISY
+    True
+    >>> first_size(0.5, noisy=True, variants=1)
+    FirstSize(max_tests=110, replicates=1, spot_check=110, recheck=20)
+    """
+    full = NOISY if noisy else EXACT
+    affordable = SECONDS * WORKERS / max(cost or 0.0, LEAST_COST)
+    if affordable >= full.rollouts(variants):
+        return full
+    # Where rollouts are dear, another start shows more than another rollout at the same one.
+    half = int((affordable - full.recheck) / 2) // variants
+    tests = max(FEWEST_TESTS, min(full.max_tests * full.replicates, half))
+    return FirstSize(tests, 1, max(FEWEST_STARTS, min(full.spot_check, half)))
+
+
+def first_samples(cost: float | None) -> FirstSize:
+    """Return the size of a campaign of drawn starts, of two digits, for rollouts that take `cost` seconds each.
+
+    >>> [first_samples(cost).max_tests for cost in (0.001, 0.07, 0.5, 5.0)]
+    [2995, 1700, 220, 59]
+    """
+    rate = min(PER_SECOND, WORKERS / max(cost or 0.0, LEAST_COST))
+    affordable = float(f"{max(SECONDS * rate - RECHECK, 0.0):.2g}")
+    return FirstSize(int(min(max(affordable, FEWEST_SAMPLES), MOST_SAMPLES)), 1)

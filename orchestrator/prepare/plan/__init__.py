@@ -1,0 +1,1 @@
+"""`perfbound plan`: what a campaign will need from a fleet, from a pilot."""

@@ -1,0 +1,197 @@
+"""`perfbound plan`: a pilot of ten rollouts in one child process, and what the campaign will need from a fleet."""
+
+import os
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+from ....schemas.errors import PerfboundError, Stopped, TrajectoryError
+from ....schemas.file.config import CampaignConfig
+from ....schemas.file.problem_models import KernelProblem
+from ....schemas.ids import RECHECK, SPOT_CHECK, RolloutId
+from ....schemas.result.facts import Header
+from ....schemas.rollout import RolloutRequest
+from ....schemas.trajectory.trajectory import Trajectory
+from ....schemas.values import Guess
+from ...campaign.admission import check_whole
+from ...campaign.checks import check_new
+from ...campaign.closing.recheck import Recheck
+from ...campaign.closing.spot_check import spot_check_plan
+from ...campaign.plan import Plans, ProblemPlan, plans
+from ...campaign.region import Start
+from ...campaign.seeds import drawn
+from ...campaign.starts import Draws
+from ...fleet.children.child import system_spec
+from ...mathematics.gp.points import point_at
+from ..calibrate.design import calibration_seed
+from ..child_rollouts import ChildRolloutError, ChildSystem, finished, peak_memory, simulate_in_child
+from .fleet_need import NOTHING, FleetPlan, PilotFigures, ProblemSize, fleet_plan
+from .rehearsal import REPEATED, PilotRollouts, Rehearsal, expected_tests, rehearsed
+
+ROLLOUTS = 10
+SECONDS = 60.0
+"""No rollout of the pilot starts later than this."""
+REHEARSAL = 15.0
+"""Seconds of processor time that a problem is rehearsed at most; other work on the machine does not count."""
+NAME = "plan"
+"""The place of a problem's name, which no problem has: seeds and starts of a pilot are not those of its campaign."""
+
+Report = Callable[[str], None]
+"""Progress callback: what is being done."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Pilot:
+    figures: PilotFigures
+    starts: tuple[Start, ...]
+    recorded: tuple[dict[str, list[Trajectory]], ...]
+
+
+def plan_campaign(config: CampaignConfig, source: Path, workers: int, report: Report = lambda _: None) -> FleetPlan:
+    """Return what the campaign of a file needs from `workers` workers; nothing is kept of its pilot.
+
+    Raises:
+        CampaignError: the campaign does not fit its system, or the system cannot be used here.
+        PerfboundError: a rollout fails, or would be refused by a campaign.
+        Stopped: with what was ended.
+
+    """
+    reference = config.system.reference(source)
+    spec = system_spec(reference, f"{source}: system.{config.system.kind}")
+    check_new(config, spec, str(source))
+    header = Header.new(config, spec, {}, run=NAME)
+    found = plans(config, header.spec)
+    try:
+        report(f"pilot of {ROLLOUTS} rollouts")
+        pilot = _pilot(header, found, ChildSystem(reference, header.spec, config.deadline, SECONDS))
+        nearest = PilotRollouts(pilot.starts, pilot.recorded)
+        problems = [_problem_size(plan, _rehearsal(plan, header, nearest, report)) for plan in found.values()]
+    except ChildRolloutError as error:
+        raise PerfboundError(f"{source}: {error}") from None
+    except Stopped as stop:
+        raise Stopped(stop.signal, "the pilot was ended, nothing was written") from None
+    checks = tuple(_check_sizes(header, found, problems))
+    return fleet_plan(workers, pilot.figures, problems, checks, config.hung_after, second_opinion=config.second_opinion)
+
+
+def _rehearsal(plan: ProblemPlan, header: Header, pilot: PilotRollouts, report: Report) -> Rehearsal | None:
+    """Return the rehearsal of a problem; None where the trajectories of the pilot do not allow one."""
+    if plan.falsify is not None:  # its tests come from a search
+        return None
+    report(f"rehearsal of {plan.name}")
+    try:
+        return rehearsed(plan, header, pilot, time=time.process_time, most=REHEARSAL)
+    except (ValueError, ArithmeticError):
+        return None
+
+
+def _problem_size(plan: ProblemPlan, rehearsal: Rehearsal | None) -> ProblemSize:
+    tests, basis = expected_tests(plan, rehearsal)
+    thinking = NOTHING
+    if rehearsal is not None:
+        each = [rehearsal.seconds_for(number) for number in (tests.middle, tests.low, tests.high)]
+        thinking = Guess(each[0].middle, each[1].low, each[2].high)
+    return ProblemSize(plan.name, tests, len(plan.rollouts), plan.window, basis, thinking, _matrix_growth(plan))
+
+
+def _matrix_growth(plan: ProblemPlan) -> tuple[int, int]:
+    """Return how much the matrices of a method grow with a test: its factor, and its row of all candidates."""
+    parts = plan.parts or (plan,)
+    kernels = sum(isinstance(each.problem, KernelProblem) for each in parts)
+    candidates = 0 if plan.candidates is None else plan.candidates.size
+    return (kernels, kernels * candidates) if kernels else (0, 0)
+
+
+def _check_sizes(header: Header, found: Plans, problems: Sequence[ProblemSize]) -> Iterator[ProblemSize]:
+    """Yield the closing checks, as far as the campaign file decides them."""
+    evidence = [each.rollouts for each in problems]
+    spot = spot_check_plan(header, found.values())
+    if spot is not None:
+        starts, most = header.config.spot_check, spot.max_tests
+        words = f"{starts} starts, and follow-ups" if most > starts else f"{starts} starts"
+        # In tests of one rollout: a follow-up has fewer of them than the first test at a start.
+        low, high = spot.count(starts), spot.count(most)
+        tests = Guess((low + high) / 2, low, high)
+        evidence.append(tests)
+        yield ProblemSize(SPOT_CHECK, tests, 1, spot.window * len(spot.rollouts), words)
+    if Recheck.wanted(header):
+        fewest, largest = sum(each.low for each in evidence), sum(each.high for each in evidence)
+        low, high = int(min(header.config.recheck, fewest)), int(min(header.config.recheck, largest))
+        yield ProblemSize(RECHECK, Guess(high, low, high), 1, high, "fixed by the campaign file")
+
+
+def _pilot(header: Header, found: Plans, system: ChildSystem) -> _Pilot:
+    """Simulate the pilot.
+
+    Raises:
+        ChildRolloutError: a rollout fails, or would be refused by a campaign.
+
+    """
+    starts, requests = _pilot_starts(header, found), []
+    for test, start in enumerate(starts):
+        for variant, count in _pilot_variants(header, found).items():
+            for replicate in range(count):
+                place = RolloutId(NAME, test, variant, replicate)
+                seed = calibration_seed(
+                    f"{header.config_sha256} {NAME}", 0, (test, replicate), variant, header.spec.seed_bits
+                )
+                requests.append(header.template.request(place, start, seed))
+    with tempfile.TemporaryDirectory(prefix="perfbound-plan-") as name:
+        folder, begin = Path(name), time.time()
+        simulate_in_child(system, requests, folder)
+        return _pilot_of(header, starts, list(finished(system, requests, folder)), folder, begin)
+
+
+def _pilot_of(
+    header: Header,
+    starts: Sequence[Start],
+    done: Sequence[tuple[RolloutRequest, Trajectory, float]],
+    folder: Path,
+    begin: float,
+) -> _Pilot:
+    columns = tuple(column.name for column in header.spec.columns)
+    recorded: list[dict[str, list[Trajectory]]] = []
+    for request, trajectory, _ in done:
+        try:
+            check_whole(trajectory, columns, header.config.horizon)
+        except TrajectoryError as fault:
+            words = request.words(header.spec)
+            raise ChildRolloutError(f"{words}: a campaign would refuse this rollout: {fault}") from None
+        if request.test == len(recorded):
+            recorded.append({})
+        recorded[request.test].setdefault(request.variant, []).append(trajectory)
+    # A slow pilot may have ended within a start.
+    whole = [each for each in recorded if each.keys() == recorded[0].keys()]
+    written = [at for _, _, at in done]
+    startup = max(0.0, written[0] - begin)
+    # The first rollout loads the simulator.
+    each = [max(0.0, after - before) for before, after in pairwise(written)] or [startup]
+    sizes = [os.path.getsize(folder / f"{number}.mcap") for number in range(len(done))]
+    figures = PilotFigures(
+        rollouts=len(done),
+        seconds=sum(each) / len(each),
+        fastest=min(each),
+        startup=startup,
+        size=sum(sizes) / len(sizes),
+        memory=peak_memory(folder),
+    )
+    return _Pilot(figures, tuple(starts[: len(whole)]), tuple(whole))
+
+
+def _pilot_variants(header: Header, found: Plans) -> dict[str, int]:
+    """Return the rollouts of each variant at a start of the pilot."""
+    used = dict.fromkeys(variant for plan in found.values() for variant in plan.variants)
+    return {variant: REPEATED if variant in header.spec.noisy else 1 for variant in used}
+
+
+def _pilot_starts(header: Header, found: Plans) -> list[Start]:
+    """Return starts of the space, those of the first problem: drawn ones, or candidates at random."""
+    plan, count = next(iter(found.values())), max(1, ROLLOUTS // sum(_pilot_variants(header, found).values()))
+    if plan.candidates is None:
+        draws = Draws(header, NAME)
+        return [draws.start(number) for number in range(count)]
+    size = plan.candidates.size
+    return [point_at(plan.candidates, node) for node in drawn(header, NAME, "", size, min(count, size))]

@@ -1,0 +1,76 @@
+"""A first campaign after a pilot that hangs: the file says what is known, and names the rollout and its place."""
+
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from perfbound.orchestrator.prepare.init import init
+from perfbound.orchestrator.prepare.init.init import Wish, write_first_campaign
+from perfbound.schemas.errors import PerfboundError
+from perfbound.schemas.file.reader import parse_campaign
+
+pytestmark = pytest.mark.integration
+
+HANGS = """import time
+from pathlib import Path
+import perfbound as pb
+
+@pb.system(parameters={"x": pb.Parameter(0, 1)}, columns={"y": "m"})
+def hangs(x, *, seed):
+    while x == 1:
+        Path(__file__).with_name("hangs").touch()
+        time.sleep(0.01)
+    return x
+"""
+
+
+ONE_SAMPLE = """import perfbound as pb
+
+@pb.system(parameters={"x": pb.Parameter(0, 1)}, columns={"y": "m"})
+def one(x):
+    return 1 + x
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with a system whose third rollout hangs; no time is over before it does."""
+    (tmp_path / "own.py").write_text(HANGS)
+    monkeypatch.chdir(tmp_path)
+    communicate = subprocess.Popen.communicate
+
+    def waits(child: subprocess.Popen[str], timeout: float | None = None) -> object:
+        if "pilot" not in child.args or child.poll() is not None:  # type: ignore[operator]
+            return communicate(child, timeout=timeout)
+        while not (tmp_path / "hangs").exists():
+            time.sleep(0.01)
+        raise subprocess.TimeoutExpired("", 0)
+
+    monkeypatch.setattr(subprocess.Popen, "communicate", waits)
+    monkeypatch.setattr(init, "SECONDS", 0.5)
+    return tmp_path
+
+
+def test_a_pilot_that_hangs_names_the_rollout_and_the_place(folder: Path) -> None:
+    lines = list(write_first_campaign(Wish("own.py:hangs", "worst", "y >= 0.5", None, None)))
+    reason = "x = 1, seed 2: the rollout gave no result within 0.5 s, and was ended in own.py, line "
+    assert lines[1].startswith(f"hangs.toml: the constants are guessed, because the pilot failed: {reason}")
+    text = " ".join((folder / "hangs.toml").read_text().replace("\n# ", " ").split())
+    assert f"GUESSED, because the pilot failed: {reason}" in text
+    assert "do not follow from this formula, because the pilot failed." in text
+    assert "Put your formula here" not in text
+    assert text.count("This one is a guess.") == 3, "clip, prior_mean and rkhs_norm"
+    assert parse_campaign((folder / "hangs.toml").read_bytes(), "c").specification == "y >= 0.5"
+
+
+def test_a_horizon_for_rollouts_of_one_sample_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It was ignored, and the file had none."""
+    (tmp_path / "own.py").write_text(ONE_SAMPLE)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(PerfboundError, match=r"--horizon 5: rollouts of one are one sample, .* remove this option"):
+        list(write_first_campaign(Wish("own.py:one", "worst", "y >= 0.5", 5.0, None)))
+    assert not (tmp_path / "one.toml").exists()
+    list(write_first_campaign(Wish("own.py:one", "worst", "y >= 0.5", None, None)))
+    assert (tmp_path / "one.toml").exists()
