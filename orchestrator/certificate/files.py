@@ -9,7 +9,7 @@ from ...schemas.errors import EvidenceError
 from ...schemas.result.attempt_record import AttemptRecord, TableDigest
 from ...schemas.result.certificate import MAX_CERTIFICATE, Certificate, Subject
 from ..store import files
-from .sentences import in_own_words
+from .assumptions.sentences import in_own_words
 
 __all__ = [
     "ATTEMPTS",

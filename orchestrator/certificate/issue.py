@@ -12,11 +12,11 @@ from ...schemas.result.facts import DiscardFact, Header
 from ..campaign.bounded_parts import bounded_accounts
 from ..campaign.counterexample import counterexample
 from ..campaign.ledger import Ledger, observed_discards
-from .assumptions import ClosingResults, assumptions
+from .assumptions.audit import ClosingResults, assumptions
+from .assumptions.opinions import workers_honest
 from .bases import bases
 from .claims import Results, claims, of_listed_starts
 from .closing_checks import recheck, spot_check
-from .opinions import workers_honest
 from .problem_results import result
 from .regions import CampaignRegions, campaign_regions, safe_share
 from .sensitivity import sensitivity, with_clip, without_rollouts

@@ -9,7 +9,7 @@ from ..campaign.plan import ProblemPlan
 from ..campaign.series import Account
 from ..mathematics.bounds.paper.formulas import Tail, mills_probability
 from ..mathematics.bounds.rounding import decimal, floor_to_step, round_down, round_up
-from .bound_text import clip_words
+from .words.bound_text import clip_words
 
 TAILS: tuple[Tail, ...] = ("gaussian", "sub-gaussian")
 GAPS = {

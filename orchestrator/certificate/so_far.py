@@ -16,15 +16,15 @@ from ..campaign.bounded_parts import bounded_accounts
 from ..campaign.ledger import Ledger
 from ..campaign.series import Account
 from ..mathematics.bounds.sample import SampleMethod
-from .assumptions import ClosingResults, assumptions
+from .assumptions.audit import ClosingResults, assumptions
+from .assumptions.sampled import noisy_variants, one_law
+from .assumptions.sentences import assumption
 from .bases import bases
 from .claims import Results, claims, of_listed_starts
 from .closing_checks import recheck, spot_check
-from .opposite import Values
+from .counter_evidence import Values
 from .problem_results import result
-from .sampled_assumptions import noisy_variants, one_law
 from .sensitivity import with_clip, without_rollouts
-from .sentences import assumption
 from .verdict import campaign_verdict
 
 TESTED = ("refuted", "not refuted")

@@ -12,19 +12,8 @@ from ...schemas.result.certificate import CertificateClaim, Predicate
 from ...schemas.result.facts import Header
 from ...schemas.result.verdict import CampaignVerdict, Violations
 from ..campaign.clip import SAME
-from .advice import (
-    NO_COMMANDS,
-    TEST_ALONE,
-    Commands,
-    Progress,
-    ShortBound,
-    for_a_better_bound,
-    for_the_probability,
-    instead_of_refuted,
-)
 from .bases import bases
-from .bound_text import claim_unit, clip_words, margin_text, outward
-from .opposite import (
+from .counter_evidence import (
     SAY_LIMIT,
     WORST,
     Required,
@@ -40,8 +29,19 @@ from .opposite import (
     too_unlikely,
     violated,
 )
-from .refutation_text import refutation_words
-from .text import CERTAIN, NO_SHARE, VACUOUS, claim_words, clip_in_words, nothing_shown
+from .words.advice import (
+    NO_COMMANDS,
+    TEST_ALONE,
+    Commands,
+    Progress,
+    ShortBound,
+    for_a_better_bound,
+    for_the_probability,
+    instead_of_refuted,
+)
+from .words.bound_text import claim_unit, clip_words, margin_text, outward
+from .words.refutation_text import refutation_words
+from .words.text import CERTAIN, NO_SHARE, VACUOUS, claim_words, clip_in_words, nothing_shown
 
 EMPTY = {
     VACUOUS: "The bound shows nothing: it is an end of the clip, and holds without any rollout.",

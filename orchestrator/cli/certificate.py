@@ -58,8 +58,8 @@ def verify(*, path: Path, key: Path | None, again: int, system: str | None, as_j
 @click.option("--passphrase", "encrypted", is_flag=True, help="Encrypt the private key with a passphrase.")
 def keygen(*, name: str, out: Path | None, encrypted: bool) -> None:
     """Make a key that signs certificates: NAME.key, which is secret, and NAME.pub, for their verification."""
-    from ..certificate.key_folder import made_key_folder, work_tree  # noqa: PLC0415
-    from ..certificate.keys import new_pair  # noqa: PLC0415
+    from ..certificate.signing.key_folder import made_key_folder, work_tree  # noqa: PLC0415
+    from ..certificate.signing.keys import new_pair  # noqa: PLC0415
 
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}", name):
         raise click.UsageError("NAME consists of letters, digits, '.', '_' and '-'; --out names the folder")

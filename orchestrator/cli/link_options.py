@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..run.address import Address
-from ..run.page_access import PagePlace
+from ..run.page.address import Address
+from ..run.page.page_access import PagePlace
 from .web_option import web_options
 
 if TYPE_CHECKING:

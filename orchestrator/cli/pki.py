@@ -66,7 +66,7 @@ def issue_to(
     *, name: str, role: "Role | None", hosts: tuple[str, ...], days: int, out: Path | None, folder: Path | None
 ) -> None:
     """Issue the certificate of the worker, orchestrator or router NAME; to renew it, name a new folder with --out."""
-    from ..certificate.key_folder import work_tree  # noqa: PLC0415
+    from ..certificate.signing.key_folder import work_tree  # noqa: PLC0415
     from ..hosts import pki as authority  # noqa: PLC0415
     from ..hosts.authority import checked_order  # noqa: PLC0415
 

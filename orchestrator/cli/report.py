@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import click
 
 from ...schemas.errors import Stopped
-from ..run.address import Address
-from ..run.page_access import PagePlace, opened
+from ..run.page.address import Address
+from ..run.page.page_access import PagePlace, opened
 from .early import check_directory, check_folder
 from .exits import end
 from .group import RUN_DIRECTORY, cli
@@ -61,8 +61,8 @@ def report(*, directory: Path, as_json: bool) -> None:
 def _write_report(directory: Path, *, as_json: bool, report: "Report") -> list[str]:
     """Write the report and return its files; with `as_json` write nothing, and return what the page shows."""
     report("campaign", 0, 1)
-    from ..report.data import to_json  # noqa: PLC0415
-    from ..report.nominal import with_nominal  # noqa: PLC0415
+    from ..report.data.page import to_json  # noqa: PLC0415
+    from ..report.rollout.nominal import with_nominal  # noqa: PLC0415
     from ..report.write import collected, write_figures, write_page  # noqa: PLC0415
 
     data = collected(directory)

@@ -11,10 +11,10 @@ from ...schemas.places import short_path
 from ...schemas.result.certificate import Certificate
 from ...schemas.result.facts import Header
 from ...schemas.result.verdict import CampaignVerdict
-from ..certificate import text
-from ..certificate.console_lines import hanging, heading, plain_line
-from ..certificate.named_starts import parameter_units
-from ..certificate.region_text import region_sentences
+from ..certificate.words import text
+from ..certificate.words.bound_text import parameter_units
+from ..certificate.words.console_lines import hanging, heading, plain_line
+from ..certificate.words.region_text import region_sentences
 from ..run.format import replay_command
 from ..run.verdict import COLOURS, system_file, verdict_lines, verdict_of
 from ..store.export_tables import robustness_unit

@@ -63,8 +63,8 @@ def router(
     from ...schemas.link.secret import shared_secret  # noqa: PLC0415
     from ...schemas.stop_signals import stop_signals  # noqa: PLC0415
     from ..fleet.link.router import route  # noqa: PLC0415
-    from ..run.certificate_end import end_announced  # noqa: PLC0415
-    from ..run.systemd import Systemd  # noqa: PLC0415
+    from ..run.display.systemd import Systemd  # noqa: PLC0415
+    from ..run.tls_end import end_announced  # noqa: PLC0415
 
     files, rules = tls_of(**tls), router_rules(allow, allow_orchestrator, allow_router)
     if rules is not None and files is None:

@@ -26,7 +26,7 @@ def load_key(path: Path) -> "Ed25519PrivateKey":
         SignatureError: it cannot be used.
 
     """
-    from ..certificate.keys import load_private  # noqa: PLC0415
+    from ..certificate.signing.keys import load_private  # noqa: PLC0415
 
     return load_private(path, lambda: passphrase(f"Passphrase of {path}"))
 
@@ -39,7 +39,7 @@ def passphrase(question: str, *, twice: bool = False) -> bytes:
 
     """
     from ...schemas.errors import SignatureError  # noqa: PLC0415
-    from ..certificate.keys import read_passphrase  # noqa: PLC0415
+    from ..certificate.signing.keys import read_passphrase  # noqa: PLC0415
 
     path = os.environ.get(FROM_FILE)
     if path:
@@ -51,7 +51,7 @@ def passphrase(question: str, *, twice: bool = False) -> bytes:
 
 def sign_directory(directory: Path, key: "Ed25519PrivateKey") -> str:
     """Sign the certificate in `directory`; return a line for the user."""
-    from ..certificate.keys import key_id  # noqa: PLC0415
-    from ..certificate.sign import sign_certificate  # noqa: PLC0415
+    from ..certificate.signing.keys import key_id  # noqa: PLC0415
+    from ..certificate.signing.sign import sign_certificate  # noqa: PLC0415
 
     return f"signed       {sign_certificate(directory, key)}, key {key_id(key.public_key())}"

@@ -16,9 +16,9 @@ from ..certificate import files
 from ..forecast.outlook import left_in_words, outlook_lines, remaining_tests
 from ..forecast.remaining import budget
 from ..run.continuation import continue_command
+from ..run.display.progress_table import bound_in_sense, legend_lines, progress_table, remaining_distance
+from ..run.display.so_far_text import so_far_view
 from ..run.format import duration
-from ..run.so_far_table import so_far_view
-from ..run.table import bound_in_sense, legend_lines, progress_table, remaining_distance
 from ..run.verdict import verdict_of
 from ..store import lock
 from ..store.progress import CampaignProgress, read_progress
@@ -133,7 +133,7 @@ def _print_so_far(found: SoFar, console: Console, *, running: bool) -> None:
 
 def _planned_outlooks(directory: Path) -> list[str]:
     """Return the forecasts of a campaign with planned tests: they take its weights, which are planned again."""
-    from ..report.collect import Collector  # noqa: PLC0415  (loads numpy, and takes seconds)
+    from ..report.collect.campaign import Collector  # noqa: PLC0415  (loads numpy, and takes seconds)
 
     return [f"{each.name}, {each.outlook}" for each in Collector(directory).refresh().problems if each.outlook]
 

@@ -4,7 +4,7 @@ import sys
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from ..run.json_lines import JsonLines
+from ..run.display.json_lines import JsonLines
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -45,7 +45,7 @@ def simulate(
     1 for a rollout that fails or that a campaign would refuse.
     """
     from ..fleet.children.simulate import WantedRollout  # noqa: PLC0415
-    from ..report.single import simulate_once  # noqa: PLC0415
+    from ..report.rollout.single import simulate_once  # noqa: PLC0415
 
     wanted = WantedRollout(system, start, variant, seed, horizon, options, timeout)
     for line in simulate_once(wanted, out=out, plot=plot, on_line=lambda text: click.echo(text, err=True)):
@@ -73,7 +73,7 @@ def replay(*, directory: Path, rollout: str, out: Path | None, mcap: Path | None
 
     ROLLOUT is problem.test.variant.replicate, as in reports and file names: sim_gap.3.true.0
     """
-    from ..report.replay.replay import replay_rollout  # noqa: PLC0415
+    from ..report.rollout.replay import replay_rollout  # noqa: PLC0415
 
     for line in replay_rollout(directory, rollout, out=out, mcap=mcap, system=system):
         click.echo(line)

@@ -6,8 +6,8 @@ from typing import Any
 
 import click
 
-from ..run.address import Address
-from ..run.page_access import PagePlace, PageTls
+from ..run.page.address import Address
+from ..run.page.page_access import PagePlace, PageTls
 
 
 class _Place(click.ParamType[Address]):

@@ -27,7 +27,7 @@ from ...schemas.errors import AuthorityError, LinkError, SecretError
 from ...schemas.link.secret import check_own_folder, secret_file
 from ...schemas.link.tls_files import check_time, hosts_of, name_of, read_certificates, role_of
 from ...schemas.outside import exposed, read_with_status
-from ..certificate.key_folder import work_tree
+from ..certificate.signing.key_folder import work_tree
 from .authority import Order, Signer, certificate_bytes, check_apart, issue_certificate, key_bytes, new_authority
 
 if TYPE_CHECKING:

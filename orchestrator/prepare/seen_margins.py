@@ -10,7 +10,7 @@ from ...schemas.rollout import RolloutRequest
 from ...schemas.system import SystemSpec, Variant
 from ...schemas.trajectory.trajectory import Trajectory
 from ..campaign.observation import Observer
-from ..certificate.counterexample import margin_words, named_start
+from ..certificate.words.refutation_text import margin_words, named_start
 from ..run.verdict import violations_in_words
 from ..store.export_tables import robustness_unit
 

@@ -14,11 +14,11 @@ from matplotlib.colors import ListedColormap, TwoSlopeNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from ..certificate.bound_text import outward
+from ..certificate.words.bound_text import outward
 from ..mathematics.gp.kernels import Floats
 from . import style
-from .data import Axis, Drawn, Problem, ReportData, Series, Surface
-from .rollout_data import InputCurve
+from .data.page import Axis, Drawn, Problem, ReportData, Series, Surface
+from .data.rollouts import InputCurve
 from .style import BLUE, GREEN, GREYS, RED, THICK, THIN
 
 MAP_HEIGHT, DECAY_HEIGHT, HISTOGRAM_HEIGHT, INPUT_HEIGHT = 2.8, 1.8, 2.4, 1.0

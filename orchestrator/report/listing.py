@@ -11,7 +11,7 @@ from rich.text import Text
 from ...schemas.errors import PerfboundError, one_line
 from ...schemas.result.verdict import CampaignVerdict, VerdictWord, Violations
 from ..certificate import files
-from ..certificate.bound_text import outward
+from ..certificate.words.bound_text import outward
 from ..run.format import duration
 from ..run.verdict import COLOURS, verdict_of
 from ..store import lock

@@ -12,10 +12,10 @@ from ..run.format import resume_command
 from ..store import export
 from ..store.files import inside
 from . import html
-from .claim_data import VerdictCard
-from .collect import Collector
-from .data import ReportData, to_json
-from .rollout_data import Rollout
+from .collect.campaign import Collector
+from .data.claims import VerdictCard
+from .data.page import ReportData, to_json
+from .data.rollouts import Rollout
 from .stages import unreported
 
 REPORT, COUNTEREXAMPLES, FIGURES = "report.html", "counterexamples.csv", "figures"

@@ -11,7 +11,7 @@ from ..store import read
 from ..store.attempt_record import table_digests
 from ..store.files import read_evidence
 from ..store.so_far import remove_so_far
-from . import assignments
+from . import outbox
 
 
 def certify(directory: Path, ledger: Ledger, report_end: Callable[[], None] | None = None) -> None:
@@ -24,7 +24,7 @@ def certify(directory: Path, ledger: Ledger, report_end: Callable[[], None] | No
     for fact in observed_discards(ledger):
         read_evidence(directory, fact.path, fact.sha256)
     # Before the certificate: the run directory is handed on from then, and the key of the assignments proves results.
-    assignments.forget(directory)
+    outbox.forget(directory)
     found = manifest(((sha256, path) for _, sha256, path in read.observed(directory)), observed_discards(ledger))
     irreproducible = read.irreproducible(directory) > 0
     differing = read.contradicted(directory)

@@ -1,13 +1,20 @@
 """The lines of a run for its listeners: those that messages of peers cause are limited."""
 
+import shlex
 import time
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 from ...schemas.errors import one_line
 from ...schemas.failure import Failure
 from ...schemas.ids import RolloutId
+from ...schemas.places import short_path
+from ...schemas.rollout import RolloutRequest
+from ..campaign.ledger import Ledger
+from ..fleet.children.simulate import LIMIT
 from ..fleet.dispatch import events
-from .throttle import Throttle
+from ..fleet.dispatch.retries import missed
 
 
 class Lines:
@@ -56,3 +63,85 @@ class Lines:
     def _about(self, worker: str, kind: str, line: str) -> None:
         if self._throttle.admits(time.monotonic(), kind, worker):
             self.print_line(line)
+
+
+# The limit of lines about messages of peers, so that none of them fills the terminal or a log
+
+EACH = 10
+"""Lines of one kind about one worker in a period."""
+ALL = 100
+"""Lines of one kind about all workers in a period: a peer that chooses names has as many as it likes."""
+PERIOD = 60.0
+"""Seconds."""
+
+
+@dataclass(slots=True)
+class _Period:
+    began: float
+    shown: Counter[str] = field(default_factory=Counter)
+    hidden: int = 0
+
+
+class Throttle:
+    """The lines of the present period, by kind; a kind is its name in the plural, such as `ignored messages`.
+
+    Time is in seconds of any one clock. Memory is bounded: `ALL` names a kind.
+    """
+
+    def __init__(self) -> None:
+        self._periods: dict[str, _Period] = {}
+
+    def admits(self, now: float, kind: str, worker: str) -> bool:
+        """Count a line; return whether it may be shown."""
+        period = self._periods.setdefault(kind, _Period(now))
+        if period.shown.get(worker, 0) < EACH and period.shown.total() < ALL:
+            period.shown[worker] += 1
+            return True
+        period.hidden += 1
+        return False
+
+    def summaries(self, now: float) -> list[str]:
+        """End the periods that are over; return a line for each that left lines out."""
+        over = [(kind, period) for kind, period in self._periods.items() if now - period.began >= PERIOD]
+        for kind, _ in over:
+            del self._periods[kind]
+        return [f"{period.hidden} more {kind} in {PERIOD:g} s, not shown" for kind, period in over if period.hidden]
+
+
+# The last words of a run whose rollout fails again and again
+
+
+def poison_text(
+    found: events.Poison, request: RolloutRequest, ledger: Ledger, reference: str | None, ends: Mapping[str, str]
+) -> str:
+    """Return the history of a rollout that fails again and again, the command that repeats it, and the remedy.
+
+    `reference` is that of a system that is not installed; `ends` say how workers have ended.
+    """
+    config = ledger.config
+    by_reason: dict[str, list[str]] = {}
+    for each in found.failures:
+        end = f" ({how})" if (how := ends.get(each.worker)) else ""
+        attempt = f"attempt {each.attempt.number} on {each.worker}{end}"
+        by_reason.setdefault(each.failure.reason, []).append(attempt)
+    history = "; ".join(f"{', '.join(attempts)}: {reason}" for reason, attempts in by_reason.items())
+    options = [f"--option={name}={value}" for name, value in config.system.options.items()]
+    start = ",".join(map(repr, request.x))
+    rollout = [f"--x={start}", "--variant", request.variant, "--seed", str(request.seed)]
+    system = config.system.name if reference is None else short_path(reference)
+    limits = ["--horizon", f"{request.horizon:g}"]
+    if config.deadline != LIMIT:  # a rollout that hangs is to hang no longer than here
+        limits += ["--timeout", f"{config.deadline:g}"]
+    command = shlex.join(["perfbound", "simulate", system, *rollout, *limits, *options, "--out", "failed.mcap"])
+    repeat = f"Repeat it: {command}"
+    if ledger.header.spec.repeated == "session":  # which no command has
+        repeat = f"Repeat it: call {request.system.replace('-', '_')} at {start}, with seed {request.seed}"
+    if found.failures[-1].failure == missed(config.deadline):
+        missing = f"It exceeds deadline = {config.deadline:g} s at the start ({start})"
+        repeat = f"{missing}; simulated alone, it names the place in the file. {repeat}"
+    # Another code is another system, with which the recorded rollouts cannot be mixed.
+    remedy = "If the code of the system is wrong, fix it and start a new campaign (--out); else"
+    return (
+        f"rollout {found.rollout} failed {len(found.failures)} times, so the campaign cannot continue: {history}. "
+        f"{repeat}. {remedy} fix the worker or the machine, then resume"
+    )

@@ -14,8 +14,8 @@ from ...schemas.link.configuration import LOCAL, Tls, asks_for_secret, check_own
 from ...schemas.link.secret import shared_secret
 from ...schemas.link.tls_files import common_name
 from ..fleet.link.transport import ROUTER_GRACE, Transport, connect_to_router, listen
-from .certificate_end import end_announced
-from .page_access import PagePlace
+from .page.page_access import PagePlace
+from .tls_end import end_announced
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,15 +1,30 @@
 """The routers between a run and its workers: their lines in the log, and the events for the dispatch machine."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from ...schemas.link.reminder import Reminder
 from ..fleet.dispatch import events
 from ..fleet.link.transport import Linked, RouterToken
 from .format import duration
-from .router_link import RouterLink
 
 UNSEEN = 10.0
 """Seconds for the token of a router, which comes with the link."""
+
+
+@dataclass(frozen=True, slots=True)
+class RouterLink:
+    """The link to the router; an orchestrator that listens for its workers has none."""
+
+    down_for: float | None
+    """Seconds without a link; None while there is one."""
+    routers: int
+    """Those that show themselves by a token: the one of the link, and those that it is connected with."""
+
+
+def is_down(link: RouterLink | None) -> bool:
+    """Whether an orchestrator behind a router reaches none."""
+    return link is not None and link.down_for is not None
 
 
 class Routers:

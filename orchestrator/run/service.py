@@ -25,17 +25,14 @@ from ..fleet.link.transport import Garbage, Heartbeat, Inbound, Linked, Result, 
 from ..forecast.outlook import PlannedOutlooks
 from ..store.commit_times import CommitTimes
 from ..store.journal import Journal
-from .assignments import Assignments
 from .collision import PoisonedError
 from .decoder import Decoded
-from .lines import Lines
-from .outbox import Outbox
-from .poison import poison_text
+from .doubted_rollouts import Review
+from .lines import Lines, poison_text
+from .outbox import Assignments, Outbox
 from .results import Results
-from .review import Review
 from .roster import LIVING, Roster, WorkerRecord
-from .router_link import RouterLink
-from .routers import Routers
+from .routers import RouterLink, Routers
 from .trust import NOTHING_BEFORE, earlier, note, still_aside
 
 TICK = 0.25

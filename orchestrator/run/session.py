@@ -35,16 +35,18 @@ from ..store.journal import Journal, Origin
 from ..store.lock import campaign_lock
 from ..store.rows import existing
 from .collision import COLLISION, PoisonedError, is_collision
-from .directory import check_vacant, claimed
+from .directory import check_vacant, claimed, revision
+from .display.systemd import Systemd, with_a_loop
 from .link import Link
-from .live_page import LivePage, live_page
+from .page.live_page import LivePage, live_page
 from .report_finished import report_finished
-from .revision import revision
-from .systemd import Systemd, with_a_loop
 from .trust import doubted
 
 if TYPE_CHECKING:
     from ..campaign.ledger import Ledger
+
+from ..store import stop_request
+from .service import Interrupted, RunStatus
 
 
 class OwnSystem(Protocol):
@@ -341,11 +343,9 @@ def _served(
             console.print(Text(f"waiting for workers: {shlex.join(line)}"), soft_wrap=True)
         # The numerics take seconds to load: only now, while the workers start.
         from ..campaign.ledger import Ledger  # noqa: PLC0415
-        from .contradictions import Contradictions  # noqa: PLC0415
-        from .progress import SystemdStatus, listener  # noqa: PLC0415
+        from .display.progress import SystemdStatus, listener  # noqa: PLC0415
+        from .display.so_far import Contradictions, SoFarListener  # noqa: PLC0415
         from .service import Interrupted, Service  # noqa: PLC0415
-        from .so_far import SoFarListener  # noqa: PLC0415
-        from .stop_requests import StopRequests  # noqa: PLC0415
 
         ledger = Ledger(directory, journal)
         ledger.replay()
@@ -429,3 +429,23 @@ def _signals(put: Callable[[int], None]) -> Iterator[None]:
     finally:
         for number, old in before.items():
             signal.signal(number, signal.SIG_IGN if taken else old)
+
+
+class StopRequests:
+    """A listener that examines the run directory at every tick, and hands a request to `put`, the loop's own inbox."""
+
+    def __init__(self, directory: Path, print_line: Callable[[str], None]) -> None:
+        self.put: Callable[[Interrupted], None] | None = None
+        self._directory, self._print_line = directory, print_line
+
+    def print_line(self, line: str) -> None:
+        """Drop the line: another listener prints it."""
+
+    def show(self, status: RunStatus) -> None:  # noqa: ARG002
+        """Take a request, if there is one."""
+        manner = stop_request.take_request(self._directory)
+        if manner is None or self.put is None:
+            return
+        self._print_line("`perfbound stop` has asked for the end of this run")
+        # As Ctrl-C: a library gets its KeyboardInterrupt, and a command ends with 130.
+        self.put(Interrupted(signal.SIGINT, drain=manner == "drain"))

@@ -6,9 +6,9 @@ from pathlib import Path
 from ...schemas.result.certificate import Certificate
 from ...schemas.result.facts import Header
 from ...schemas.result.verdict import CampaignVerdict, VerdictWord, Violations
-from ..certificate.advice import Commands
-from ..certificate.counterexample import margin_words
 from ..certificate.verdict import campaign_verdict
+from ..certificate.words.advice import Commands
+from ..certificate.words.refutation_text import margin_words
 from ..fleet.children.child import in_file
 from ..store.export_tables import robustness_unit
 from ..store.progress import read_progress

@@ -10,12 +10,14 @@ from ..schemas import atomic
 from ..schemas.errors import CampaignError
 from ..schemas.file.config import CampaignConfig
 from ..schemas.file.reader import load_campaign, parse_campaign
-from .given import GivenSystem, given_system
-from .toml import toml
+from .system_argument import GivenSystem, given_system
 
 if TYPE_CHECKING:
     from .run import Run
     from .study import Study
+from pathlib import PurePath
+
+from ..schemas.file.toml_text import toml_file
 
 
 class Campaign:
@@ -142,3 +144,45 @@ def _campaign_table(
     table["system"] = {**found.choice, **options}
     table["space"] = space if isinstance(space, Mapping) else {"scenarios": space}
     return table
+
+
+# A campaign as TOML: the one text that its parser reads, whether it came from a file or from Python
+
+
+def toml(table: Mapping[str, Any], source: str) -> str:
+    """Return the TOML of a table: plain values first, then a section for each table and list of tables.
+
+    Values may be those of numpy; what is None is left out.
+
+    Raises:
+        CampaignError: a value has no form in TOML; the text names its key.
+
+    >>> print(toml({"name": "a", "space": {"x": {"low": 0.0, "high": 1}}, "problems": [{"delta": 1e-3}]}, "here"))
+    name = "a"
+    <BLANKLINE>
+    [space]
+    x = { low = 0.0, high = 1 }
+    <BLANKLINE>
+    [[problems]]
+    delta = 0.001
+    <BLANKLINE>
+
+    """
+    return toml_file({key: _as_python(value, key, source) for key, value in table.items() if value is not None})
+
+
+def _as_python(value: Any, key: str, source: str) -> Any:
+    """Return a value as dict, list, text, number or bool of Python."""
+    if hasattr(value, "tolist"):  # numpy's arrays and numbers
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {
+            str(name): _as_python(each, f"{key}.{name}", source) for name, each in value.items() if each is not None
+        }
+    if isinstance(value, list | tuple):
+        return [_as_python(each, key, source) for each in value]
+    if isinstance(value, PurePath):
+        return str(value)
+    if isinstance(value, str | bool | int | float):
+        return value
+    raise CampaignError(f"{source}: {key}: {type(value).__name__} is not allowed: give text, number, list or dict")

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..orchestrator.report import figures, style
-from ..orchestrator.report.data import Problem
+from ..orchestrator.report.data.page import Problem
 from ..orchestrator.report.write import collected
 from ..schemas.errors import PerfboundError
 from .process import reproducible

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rich.console import Console
 
-from ..orchestrator.certificate import console_lines, files, text
+from ..orchestrator.certificate import files
+from ..orchestrator.certificate.words import console_lines, text
 from ..orchestrator.run import directory as places
 from ..orchestrator.run import session
 from ..orchestrator.run.link import Link
@@ -29,8 +30,8 @@ from ..schemas.result.facts import Header
 from ..schemas.result.verdict import CampaignVerdict
 from ..schemas.trajectory.trajectory import Trajectory
 from .forked import Forked
-from .given import GivenSystem, given_system
 from .process import interruptible, output, reproducible
+from .system_argument import GivenSystem, given_system
 
 if TYPE_CHECKING:
     from ..orchestrator.certificate.verify.run import Verification
@@ -143,7 +144,7 @@ class Run(_Shown):
 
         """
         from ..orchestrator.campaign.plan import plans  # noqa: PLC0415
-        from ..orchestrator.report.replay.load import load_recorded  # noqa: PLC0415
+        from ..orchestrator.report.rollout.load import load_recorded  # noqa: PLC0415
 
         if not isinstance(rollout, str):
             name, plan = next(iter(plans(self.header.config, self.header.spec).items()))
@@ -164,7 +165,7 @@ class Run(_Shown):
             PerfboundError: there is no such problem, it has no observation, or a start is not one of its method.
 
         """
-        from ..orchestrator.report.posterior import posterior  # noqa: PLC0415  (late: it loads the numerics)
+        from ..orchestrator.report.collect.posterior import posterior  # noqa: PLC0415  (late: it loads the numerics)
 
         try:
             starts = np.atleast_2d(real_array(x))

@@ -37,10 +37,10 @@ from ..schemas.result.facts import RECORDED, RESTORED, Header
 from ..schemas.rollout import RolloutRequest
 from ..schemas.system import OptionValue, SystemSpec
 from ..schemas.trajectory.input_signal import start_values
-from .given import GivenSystem
+from .handed_in import Admitted, admitted
 from .process import reproducible
 from .run import Run
-from .told import Admitted, admitted
+from .system_argument import GivenSystem
 
 SILENT = Console(quiet=True)
 _BY_HAND = session.RunOptions(0, Link(LOCAL))

@@ -30,7 +30,7 @@ ROOMS = (
     ("Zenoh, main thread", ("/orchestrator/fleet/link/transport.py", "/zenoh/")),
     ("pydantic, JSON", ("/pydantic/", "/json/", "/schemas/")),
     ("certificate", ("/orchestrator/certificate/",)),
-    ("terminal", ("/orchestrator/run/progress.py", "/rich/")),
+    ("terminal", ("/orchestrator/run/display/progress.py", "/rich/")),
     ("loop, cores, ledger", ("/orchestrator/",)),
 )
 STARTING = "imports"

@@ -4,7 +4,7 @@ import itertools
 import math
 from dataclasses import replace
 
-from perfbound.orchestrator.report.chart_data import (
+from perfbound.orchestrator.report.data.charts import (
     Importance,
     ParameterImportance,
     Prediction,
@@ -12,16 +12,9 @@ from perfbound.orchestrator.report.chart_data import (
     RolloutHistogram,
     VariantCounts,
 )
-from perfbound.orchestrator.report.claim_data import AssumptionRow, Claim, assumption_row
-from perfbound.orchestrator.report.data import (
-    Axis,
-    Drawn,
-    Problem,
-    ReportData,
-    Surface,
-    TestSeries,
-)
-from perfbound.orchestrator.report.rollout_data import (
+from perfbound.orchestrator.report.data.claims import AssumptionRow, Claim, assumption_row
+from perfbound.orchestrator.report.data.page import Axis, Drawn, Problem, ReportData, Surface, TestSeries
+from perfbound.orchestrator.report.data.rollouts import (
     Curve,
     DrawnRollout,
     FoundCounterexample,
@@ -33,7 +26,7 @@ from perfbound.orchestrator.report.rollout_data import (
     ViolatingStart,
     ViolatingStarts,
 )
-from perfbound.orchestrator.report.worker_data import FailedAttempt, SetAsideRow, Throughput, WorkerRow
+from perfbound.orchestrator.report.data.workers import FailedAttempt, SetAsideRow, Throughput, WorkerRow
 from perfbound.orchestrator.store.changes import ComparedResult
 from perfbound.schemas.result.certificate import Assumption, CompositionTerms, Status
 

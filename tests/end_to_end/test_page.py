@@ -9,7 +9,7 @@ import pytest
 from playwright.sync_api import Browser, Position
 
 from perfbound.orchestrator.report import html
-from perfbound.orchestrator.report.data import ReportData, to_json
+from perfbound.orchestrator.report.data.page import ReportData, to_json
 from perfbound.schemas.result.certificate import CompositionTerms
 from tests.end_to_end import browser as chromium
 from tests.end_to_end import example_reports

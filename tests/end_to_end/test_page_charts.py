@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser
 
-from perfbound.orchestrator.report import data
-from perfbound.orchestrator.report.chart_data import FailingStart
-from perfbound.orchestrator.report.claim_data import VerdictCard
+from perfbound.orchestrator.report.data import page
+from perfbound.orchestrator.report.data.charts import FailingStart
+from perfbound.orchestrator.report.data.claims import VerdictCard
 from tests.end_to_end import browser as chromium
 from tests.end_to_end import example_reports
 from tests.end_to_end.browser import Scheme
@@ -50,10 +50,10 @@ KEPT = """() => {
 }"""
 
 
-def stopped_at_once(report: data.ReportData) -> data.ReportData:
+def stopped_at_once(report: page.ReportData) -> page.ReportData:
     """One test alone."""
     problem = report.problems[0]
-    tests = data.TestSeries((0,), problem.tests.x[:1], (0.7,), (None,), (-20.0,), (None,))
+    tests = page.TestSeries((0,), problem.tests.x[:1], (0.7,), (None,), (-20.0,), (None,))
     return replace(report, problems=(replace(problem, tests=tests, observed=1),))
 
 
@@ -195,7 +195,7 @@ def test_drawing_again_builds_no_chart_anew(browser: Browser, tmp_path: Path) ->
         assert kept
 
 
-def refuted(report: data.ReportData) -> data.ReportData:
+def refuted(report: page.ReportData) -> page.ReportData:
     """The same with a refuted bound: the worst of two failing fresh starts is worse than every test."""
     problem = report.problems[0]
     failing = (

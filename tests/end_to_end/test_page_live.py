@@ -7,10 +7,10 @@ import pytest
 from playwright.sync_api import Browser, Route
 
 from perfbound.orchestrator.report import html
-from perfbound.orchestrator.report.claim_data import AssumptionRow
-from perfbound.orchestrator.report.data import ReportData, to_json
-from perfbound.orchestrator.report.live import LiveCard
-from perfbound.orchestrator.run.router_link import RouterLink
+from perfbound.orchestrator.report.collect.live import LiveCard
+from perfbound.orchestrator.report.data.claims import AssumptionRow
+from perfbound.orchestrator.report.data.page import ReportData, to_json
+from perfbound.orchestrator.run.routers import RouterLink
 from tests.end_to_end import browser as chromium
 from tests.end_to_end import example_reports
 from tests.end_to_end.browser import Watched

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Browser
 
-from perfbound.orchestrator.report.data import ReportData
+from perfbound.orchestrator.report.data.page import ReportData
 from tests.end_to_end import browser as chromium
 from tests.end_to_end import example_reports
 from tests.end_to_end.browser import Watched

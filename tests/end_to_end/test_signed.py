@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from perfbound.orchestrator.certificate import keys, sign
+from perfbound.orchestrator.certificate.signing import keys, sign
 from perfbound.schemas.errors import SignatureError
 from tests.campaigns import FOLDER, with_few_checks
 from tests.end_to_end.processes import Processes, processes, recorded, wait_for, write_campaign

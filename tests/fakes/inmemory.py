@@ -25,7 +25,7 @@ from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.issue import issue, manifest
 from perfbound.orchestrator.fleet.dispatch.state import Limits
 from perfbound.orchestrator.fleet.link.transport import Heartbeat, Inbound, Result, Sink, Token, garbage
-from perfbound.orchestrator.run import assignments, service
+from perfbound.orchestrator.run import outbox, service
 from perfbound.orchestrator.run.service import Interrupted, RunStatus, Service
 from perfbound.orchestrator.run.trust import doubted
 from perfbound.orchestrator.store import read
@@ -369,7 +369,7 @@ def serve(
             finally:
                 if late():
                     raise TimeoutError(f"the campaign does not end; its last lines: {log.lines[-3:]}")
-        assignments.forget(directory)
+        outbox.forget(directory)
         found = manifest((sha256, path) for _, sha256, path in read.observed(directory))
         known = {"irreproducible": read.irreproducible(directory) > 0, "contradicted": read.contradicted(directory)}
         files.write(directory, issue(ledger, found, **known), found.text)  # type: ignore[arg-type]

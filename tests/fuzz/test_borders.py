@@ -21,11 +21,12 @@ from rich.console import Console
 
 from perfbound.orchestrator.campaign.checks import check
 from perfbound.orchestrator.campaign.ledger import Ledger
-from perfbound.orchestrator.certificate import files, text
+from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.verify.checks import CheckFailed, Checks
 from perfbound.orchestrator.certificate.verify.input import parsed
 from perfbound.orchestrator.certificate.verify.manifest import parse_manifest, split_manifest
 from perfbound.orchestrator.certificate.verify.run import verify_certificate
+from perfbound.orchestrator.certificate.words import text
 from perfbound.orchestrator.mathematics.stl.errors import FormulaError
 from perfbound.orchestrator.mathematics.stl.parser import parse_formula
 from perfbound.orchestrator.mathematics.stl.robustness import robustness

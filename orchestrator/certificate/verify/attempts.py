@@ -6,7 +6,8 @@ from ....schemas.errors import SignatureError
 from ....schemas.result.attempt_record import MAX_RECORD, TABLES, AttemptRecord
 from ...store.attempt_record import table_digests
 from ...store.files import contents
-from .. import files, keys, sign
+from .. import files
+from ..signing import keys, sign
 from .checks import CheckFailed, Checks, plural
 from .manifest import sha256_of
 

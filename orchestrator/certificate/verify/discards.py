@@ -9,7 +9,7 @@ from ....schemas.result.facts import DiscardFact
 from ...campaign.admission import admit, objective_fault
 from ...campaign.ledger import Ledger
 from ...campaign.observation import Others
-from ..assumptions import DISCARDED
+from ..assumptions.audit import DISCARDED
 from .checks import CheckFailed
 from .manifest import Entry
 

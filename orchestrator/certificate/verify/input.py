@@ -6,7 +6,8 @@ from pathlib import Path
 from ....schemas.errors import PerfboundError
 from ....schemas.result.certificate import Certificate
 from ...store import files as evidence
-from .. import files, keys, sign
+from .. import files
+from ..signing import keys, sign
 from .checks import CheckFailed, Checks
 
 

@@ -7,8 +7,8 @@ from ....schemas.file.parts import parts_of
 from ....schemas.result.certificate import Assumption, Certificate
 from ....schemas.result.facts import Header
 from ...campaign.ledger import observed_discards
+from ..assumptions.sentences import is_in_its_words, is_worded_here
 from ..issue import issue, manifest
-from ..sentences import is_in_its_words, is_worded_here
 from . import compare
 from .checks import ABSENT, plural
 from .compare import ROUND_OFF

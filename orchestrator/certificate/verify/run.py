@@ -14,8 +14,8 @@ from pathlib import Path
 from ....schemas import __version__
 from ....schemas.errors import JournalError, Stopped
 from ....schemas.ids import RolloutId
-from ....schemas.result.certificate import Certificate
-from ....schemas.result.facts import Header, ObservationFact, ProposalFact
+from ....schemas.result.certificate import Assumption, Certificate
+from ....schemas.result.facts import ExtensionFact, Header, ObservationFact, ProposalFact
 from ....schemas.rollout import RolloutRequest
 from ...campaign.checks import check
 from ...campaign.ledger import observed_discards
@@ -25,13 +25,13 @@ from ...store import files as evidence
 from ...store.read import contradicted, irreproducible
 from ...store.untrusted import UntrustedFacts, read_untrusted, read_untrusted_header
 from .. import files
+from ..assumptions.audit import EXTENDED
+from ..assumptions.opinions import admitted_rollouts
 from ..issue import manifest, question, subject
-from ..opinions import admitted_rollouts
 from . import compare
 from .attempts import check_attempts
 from .checks import CheckFailed, Checks, plural
 from .discards import discarded
-from .extensions import extended
 from .input import VerificationInput, parsed, signed_text
 from .manifest import Entry, check_files, parse_manifest, sha256_of, split_manifest
 from .regions import compared_regions
@@ -309,3 +309,28 @@ def _resimulation(
     count = min(rollouts, len(entries))
     found = resimulate(directory, entries, count, lambda done: report("simulation", done, count), simulate)
     checks.passed("resimulation", finding(found, len(entries)))
+
+
+def extended(certificate: Certificate) -> tuple[ExtensionFact, ...]:
+    """Return the extensions that a certificate lists; whether the campaign allows them the rerun decides.
+
+    Raises:
+        CheckFailed: they are not numbered from 1, or name no budget.
+
+    """
+    budgets: dict[int, dict[str, int]] = {}
+    for each in certificate.predicate.assumptions:
+        if each.id.startswith(EXTENDED):
+            number, problem, tests = _of_line(each)
+            budgets.setdefault(number, {})[problem] = tests  # one line for each requirement of the problem
+    if list(budgets) != list(range(1, len(budgets) + 1)):
+        raise CheckFailed("stop", "its extensions are not numbered from 1 in their order")
+    return tuple(ExtensionFact(number, tuple(listed.items())) for number, listed in budgets.items())
+
+
+def _of_line(found: Assumption) -> tuple[int, str, int]:
+    number, values = found.id.removeprefix(EXTENDED).partition("/")[0], found.values
+    problem, tests = values.get("problem"), values.get("max_tests")
+    if not number.isdecimal() or not isinstance(problem, str) or not isinstance(tests, int):
+        raise CheckFailed("stop", f"{found.id[:80]} names no budget")
+    return int(number), problem, tests

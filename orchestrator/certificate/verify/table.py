@@ -7,9 +7,9 @@ from rich.table import Table as Lines
 from rich.text import Text
 
 from ...store.export_tables import robustness_unit
-from .. import text
-from ..console_lines import heading
-from ..named_starts import parameter_units, with_named_starts
+from ..words import text
+from ..words.bound_text import parameter_units, with_named_starts
+from ..words.console_lines import heading
 from .run import Verification
 
 REFUTED = "its claim is REFUTED, do not rely on it"

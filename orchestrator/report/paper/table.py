@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from ....schemas.result.certificate import Predicate
-from ...certificate.bound_text import outward
+from ...certificate.words.bound_text import outward
 from .published import TABLE, THEOREM_2, Printed
 from .study import DIRECT, FUNCTION, PAPER, RIGOROUS, SCENARIO
 from .table_text import csv_text, markdown

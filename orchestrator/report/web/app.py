@@ -31,8 +31,8 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from ....schemas.errors import EvidenceError, PerfboundError, one_line
 from ...certificate.files import CERTIFICATE
-from ...run.address import Address
-from ...run.page_access import OPEN, PageAccess
+from ...run.page.address import Address
+from ...run.page.page_access import OPEN, PageAccess
 from ...store import export
 from ...store.files import FOLDER
 from .. import html as document

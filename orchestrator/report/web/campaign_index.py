@@ -17,10 +17,10 @@ from ....schemas.errors import PerfboundError, shortened
 from ....schemas.result.facts import Header
 from ....schemas.result.verdict import CampaignVerdict, VerdictWord
 from ....schemas.values import ProblemProgress
-from ...certificate.bound_text import in_unit, outward
 from ...certificate.files import CERTIFICATE
+from ...certificate.words.bound_text import in_unit, outward
 from ...forecast.remaining import budget
-from ...run.table import bound_in_sense
+from ...run.display.progress_table import bound_in_sense
 from ...store import lock
 from ...store.export_tables import robustness_unit
 from ...store.progress import read_progress

@@ -25,8 +25,8 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from ....schemas.errors import one_line
-from ...run.address import Address
-from ...run.page_access import OPEN, PageAccess
+from ...run.page.address import Address
+from ...run.page.page_access import OPEN, PageAccess
 from .. import html as document
 from ..listing import DEPTH
 from .app import JSON, plain

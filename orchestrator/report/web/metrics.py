@@ -27,11 +27,11 @@ from ....schemas.result.so_far import Span
 from ....schemas.result.verdict import VerdictWord
 from ....schemas.values import Bound, ProblemProgress
 from ...fleet.dispatch.state import WorkerPhase
-from ...run.feed import RunFigures
-from ...run.table import bound_in_sense
+from ...run.display.progress_table import bound_in_sense
+from ...run.page.page_feed import RunFigures
 from ...store.commit_times import EDGES, CommitTimes, cumulative
 from ...store.counts import CampaignCounts
-from ..data import State
+from ..data.page import State
 from .metric_list import LONGEST_HOST, METRICS, MOST_HOSTS, OTHER, DeclaredMetric
 from .run_feed import RunFeed
 from .watched import ClaimNow, Watched, WatchedCampaign

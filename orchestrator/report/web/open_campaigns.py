@@ -7,7 +7,7 @@ from pathlib import Path
 
 from starlette.types import ASGIApp
 
-from ..collect import Collector
+from ..collect.campaign import Collector
 from .app import ServerLimits, campaign_application
 from .snapshots import SnapshotCache
 

@@ -13,9 +13,9 @@ import threading
 from pathlib import Path
 
 from ....schemas.errors import one_line
-from ...run.address import Address
-from ...run.feed import read_message
-from ...run.page_access import PageAccess
+from ...run.page.address import Address
+from ...run.page.page_access import PageAccess
+from ...run.page.page_feed import read_message
 from .run_feed import RunFeed
 from .server import Server
 

@@ -2,7 +2,7 @@
 
 import time
 
-from ...run.feed import RunFigures
+from ...run.page.page_feed import RunFigures
 
 RECENT = 10.0
 """Seconds since the last message in which a run is ready; messages come every second."""

@@ -13,8 +13,8 @@ from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from ....schemas.host import host_name
-from ...run.address import Address
-from ...run.page_access import OPEN, PageAccess
+from ...run.page.address import Address
+from ...run.page.page_access import OPEN, PageAccess
 from .page_token import CookieCheck, TokenCheck
 
 HEALTH = "/healthz"

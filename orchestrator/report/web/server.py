@@ -12,9 +12,9 @@ from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol, RequestResponseCycle
 
-from ...run.address import Address
-from ...run.page_access import OPEN, PageAccess
-from ..collect import Collector
+from ...run.page.address import Address
+from ...run.page.page_access import OPEN, PageAccess
+from ..collect.campaign import Collector
 from .app import application
 from .campaign_index import CampaignIndex
 from .index_app import index_application

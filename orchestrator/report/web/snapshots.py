@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 from anyio import to_thread
 
 from ....schemas.errors import PerfboundError
-from ...run.feed import LiveState
-from ...run.router_link import RouterLink
-from ..collect import Collector
-from ..data import ReportData, to_json
-from ..scenes import without_further
+from ...run.page.page_feed import LiveState
+from ...run.routers import RouterLink
+from ..collect.campaign import Collector
+from ..collect.scenes import without_further
+from ..data.page import ReportData, to_json
 
 SHORTEST_PAUSE = 1.0
 """Seconds from the end of a refresh to the next one, at least."""

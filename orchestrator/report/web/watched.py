@@ -12,7 +12,7 @@ from ...run.verdict import verdict_of
 from ...store import lock
 from ...store.counts import CampaignCounts, CountReader
 from ...store.so_far import read_so_far
-from ..data import State
+from ..data.page import State
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ import pytest
 
 from perfbound.orchestrator.campaign import consistency
 from perfbound.orchestrator.campaign.plan import ProblemPlan, plan
-from perfbound.orchestrator.run.contradictions import Contradictions
+from perfbound.orchestrator.run.display.so_far import Contradictions
 from perfbound.orchestrator.run.service import RunStatus
 from perfbound.schemas.system import SystemSpec
 from perfbound.workers.systems import load_system

@@ -10,8 +10,8 @@ from rich.console import Console
 
 from perfbound.orchestrator.campaign.counterexample import ended
 from perfbound.orchestrator.certificate import files
-from perfbound.orchestrator.certificate.text import print_certificate
-from perfbound.orchestrator.report.collect import Collector
+from perfbound.orchestrator.certificate.words.text import print_certificate
+from perfbound.orchestrator.report.collect.campaign import Collector
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import read
 from perfbound.schemas.file.config import CampaignConfig

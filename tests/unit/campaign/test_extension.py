@@ -17,10 +17,10 @@ from perfbound.orchestrator.campaign.closing.spot_check import LEVEL
 from perfbound.orchestrator.campaign.extension import extension_words
 from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.certificate import files
-from perfbound.orchestrator.report.collect import Collector
+from perfbound.orchestrator.report.collect.campaign import Collector
 from perfbound.orchestrator.run import service
+from perfbound.orchestrator.run.display.progress_table import progress_table
 from perfbound.orchestrator.run.extend import extend_campaign
-from perfbound.orchestrator.run.table import progress_table
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.progress import read_progress

@@ -15,7 +15,7 @@ from perfbound.orchestrator.campaign.starts import Draws
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.mathematics.bounds.one_law.failures import beta_mixture_upper
 from perfbound.orchestrator.mathematics.search import Falsifier
-from perfbound.orchestrator.report.collect import Collector
+from perfbound.orchestrator.report.collect.campaign import Collector
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import read
 from perfbound.schemas.file.config import CampaignConfig

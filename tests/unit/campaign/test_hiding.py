@@ -8,11 +8,11 @@ import pytest
 from numpy.typing import NDArray
 
 from perfbound.orchestrator.campaign.clip import hiding, reach_of
-from perfbound.orchestrator.certificate.bound_text import clip_words
-from perfbound.orchestrator.certificate.text import claim_words, margin_at_most_starts
 from perfbound.orchestrator.certificate.verdict import guarantee
+from perfbound.orchestrator.certificate.words.bound_text import clip_words
+from perfbound.orchestrator.certificate.words.text import claim_words, margin_at_most_starts
 from perfbound.orchestrator.mathematics.stl.reach import ANY
-from perfbound.orchestrator.report.wording import claim_sentence
+from perfbound.orchestrator.report.collect.wording import claim_sentence
 from perfbound.schemas.file.drawn_claims import SAMPLED, ClaimRequest, DrawnClaim
 from perfbound.schemas.file.objectives import Quantity, Reading
 from perfbound.schemas.result.certificate import CertificateClaim, MostStarts

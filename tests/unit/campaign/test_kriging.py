@@ -10,9 +10,9 @@ from pydantic import ValidationError
 from perfbound.orchestrator.campaign.methods import method
 from perfbound.orchestrator.campaign.plan import plans
 from perfbound.orchestrator.certificate import files
-from perfbound.orchestrator.certificate.text import notes
+from perfbound.orchestrator.certificate.words.text import notes
 from perfbound.orchestrator.mathematics.bounds.kriging.method import KrigingMethod
-from perfbound.orchestrator.report.collect import Collector
+from perfbound.orchestrator.report.collect.campaign import Collector
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store.read import read_header, reading
 from perfbound.schemas.file.config import CampaignConfig

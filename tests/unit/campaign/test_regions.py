@@ -18,9 +18,9 @@ from rich.console import Console
 from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.campaign.plan import plan, unsafe_below
 from perfbound.orchestrator.certificate import files, regions
-from perfbound.orchestrator.certificate.region_text import NONE, region_sentences, unsafe_words
-from perfbound.orchestrator.certificate.text import print_certificate
 from perfbound.orchestrator.certificate.verify import regions as check
+from perfbound.orchestrator.certificate.words.region_text import NONE, region_sentences, unsafe_words
+from perfbound.orchestrator.certificate.words.text import print_certificate
 from perfbound.orchestrator.mathematics.bounds.rigorous.regions import MARGIN, Regions
 from perfbound.orchestrator.run import service
 from perfbound.schemas.result.certificate import Certificate, CertifiedRegions

@@ -10,9 +10,9 @@ from rich.console import Console
 
 from perfbound.library.plot import Plot
 from perfbound.orchestrator.certificate import files
-from perfbound.orchestrator.certificate.text import print_certificate
-from perfbound.orchestrator.report.collect import Collector
-from perfbound.orchestrator.report.posterior import posterior
+from perfbound.orchestrator.certificate.words.text import print_certificate
+from perfbound.orchestrator.report.collect.campaign import Collector
+from perfbound.orchestrator.report.collect.posterior import posterior
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store.export import table_rows
 from perfbound.schemas.errors import CampaignError, PerfboundError

@@ -9,10 +9,10 @@ from rich.console import Console
 
 from perfbound.orchestrator.campaign.checks import check, check_new
 from perfbound.orchestrator.certificate import files
-from perfbound.orchestrator.certificate.text import print_certificate
+from perfbound.orchestrator.certificate.words.text import print_certificate
 from perfbound.orchestrator.mathematics.bounds.one_law.failures import beta_mixture_upper
 from perfbound.orchestrator.mathematics.bounds.one_law.share import clopper_pearson_upper, quantile_rank
-from perfbound.orchestrator.report.collect import Collector
+from perfbound.orchestrator.report.collect.campaign import Collector
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import read
 from perfbound.schemas.errors import CampaignError

@@ -14,8 +14,8 @@ from rich.console import Console
 
 from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.certificate import files
-from perfbound.orchestrator.certificate.text import print_certificate
-from perfbound.orchestrator.report.wording import worded
+from perfbound.orchestrator.certificate.words.text import print_certificate
+from perfbound.orchestrator.report.collect.wording import worded
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.rows import DATABASE

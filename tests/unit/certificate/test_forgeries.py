@@ -17,7 +17,9 @@ import numpy as np
 import pytest
 
 import perfbound as pb
-from perfbound.orchestrator.certificate import files, keys, sentences, sign
+from perfbound.orchestrator.certificate import files
+from perfbound.orchestrator.certificate.assumptions import sentences
+from perfbound.orchestrator.certificate.signing import keys, sign
 from perfbound.orchestrator.certificate.verify.run import verify_certificate
 from perfbound.orchestrator.store.attempt_record import table_digests
 from perfbound.orchestrator.store.rows import DATABASE

@@ -15,9 +15,9 @@ from sklearn.gaussian_process.kernels import Matern
 from perfbound.orchestrator.campaign.methods import kernel_method
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.sensitivity import VARIATIONS
-from perfbound.orchestrator.certificate.text import notes
 from perfbound.orchestrator.certificate.verify.checks import Checks
 from perfbound.orchestrator.certificate.verify.run import verify_certificate
+from perfbound.orchestrator.certificate.words.text import notes
 from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.file.problem_models import RigorousProblem
 from perfbound.schemas.result.certificate import CampaignId, Certificate, CertificateClaim, Evidence, Predicate

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from perfbound.orchestrator.certificate import files, opposite
+from perfbound.orchestrator.certificate import counter_evidence, files
 from perfbound.orchestrator.run.extend import extend_campaign
 from perfbound.orchestrator.run.verdict import verdict_lines, verdict_of, violation_words
 from perfbound.orchestrator.store.journal import Journal
@@ -264,15 +264,17 @@ def test_the_opposite_needs_the_required_probability_too(tmp_path: Path) -> None
     predicate, header = certificate.predicate, stored_header(tmp_path)
     partner = predicate.problems[0].partner
     assert partner is not None
-    (reason,) = _reasons(opposite._by_partner(header, predicate, opposite.Required(partner + 1e-6, 0.5, "")))
+    (reason,) = _reasons(
+        counter_evidence._by_partner(header, predicate, counter_evidence.Required(partner + 1e-6, 0.5, ""))
+    )
     assert reason.endswith(
         f", with probability at least 0.6000, if its {len(predicate.claims[0].assumptions)} assumptions hold."
     )
-    assert opposite._by_partner(header, predicate, opposite.Required(partner + 1e-6, 0.99, "")) is None
-    assert opposite._by_partner(header, predicate, opposite.Required(partner, 0.5, "")) is None
+    assert counter_evidence._by_partner(header, predicate, counter_evidence.Required(partner + 1e-6, 0.99, "")) is None
+    assert counter_evidence._by_partner(header, predicate, counter_evidence.Required(partner, 0.5, "")) is None
 
 
-def _reasons(found: opposite.VerdictFinding | None) -> tuple[str, ...]:
+def _reasons(found: counter_evidence.VerdictFinding | None) -> tuple[str, ...]:
     assert found is not None
     return found.reasons
 

@@ -16,14 +16,16 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from perfbound.orchestrator.certificate import files, keys, sign, text
+from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.issue import issue, manifest
+from perfbound.orchestrator.certificate.signing import keys, sign
 from perfbound.orchestrator.certificate.verify import compare
 from perfbound.orchestrator.certificate.verify import table as show
 from perfbound.orchestrator.certificate.verify.checks import ABSENT, CHECKS, Checks
 from perfbound.orchestrator.certificate.verify.manifest import parse_manifest
 from perfbound.orchestrator.certificate.verify.rerun import Rerun
 from perfbound.orchestrator.certificate.verify.run import Verification, verify_certificate
+from perfbound.orchestrator.certificate.words import text
 from perfbound.orchestrator.fleet.children import simulate
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store.attempt_record import table_digests

@@ -13,7 +13,7 @@ from perfbound.orchestrator import cli as commands
 from perfbound.orchestrator.cli.group import cli
 
 BIN = Path(sys.executable).parent
-SHELLS = sorted(commands.completion.PLACES)
+SHELLS = sorted(commands.manual.PLACES)
 
 
 def script(shell: str) -> str:
@@ -27,7 +27,7 @@ def script(shell: str) -> str:
 def test_the_script_has_one_line_how_to_install_it(shell: str) -> None:
     lines = script(shell).splitlines()
     assert lines[-1].startswith(f"# To install: perfbound completion {shell} > ")
-    assert lines[-1].partition("install: ")[2] in str(commands.completion.completion.help)
+    assert lines[-1].partition("install: ")[2] in str(commands.manual.completion.help)
     assert shell != "zsh" or lines[0] == "#compdef perfbound"
 
 

@@ -10,16 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from perfbound.orchestrator.certificate.assumption_text import print_list
-from perfbound.orchestrator.certificate.assumption_titles import title
+from perfbound.orchestrator.certificate.assumptions.sentences import title
 from perfbound.orchestrator.certificate.verify.checks import CHECKS, Checks
 from perfbound.orchestrator.certificate.verify.run import Verification
 from perfbound.orchestrator.certificate.verify.table import print_verification
+from perfbound.orchestrator.certificate.words.text import print_list
 from perfbound.orchestrator.fleet.children.simulate import column_lines
 from perfbound.orchestrator.prepare.check_system.check import SystemCheck, print_findings
 from perfbound.orchestrator.prepare.check_system.findings import SYSTEM_CHECKS, SystemFinding
-from perfbound.orchestrator.report.replay.comparison import Deviation, Difference, lines
-from perfbound.orchestrator.run.table import progress_table
+from perfbound.orchestrator.report.rollout.comparison import Deviation, Difference, lines
+from perfbound.orchestrator.run.display.progress_table import progress_table
 from perfbound.schemas.result.certificate import Assumption
 from perfbound.schemas.system import Column, Parameter, SystemSpec
 from perfbound.schemas.trajectory.trajectory import Trajectory

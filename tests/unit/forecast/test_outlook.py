@@ -21,7 +21,7 @@ from perfbound.orchestrator.forecast.outlook import (
     outlook,
     outlook_lines,
 )
-from perfbound.orchestrator.report.collect import Collector
+from perfbound.orchestrator.report.collect.campaign import Collector
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.progress import read_progress
 from perfbound.schemas.rollout import RolloutRequest

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import perfbound as pb
-from perfbound.library.given import given_system
-from perfbound.library.toml import toml
+from perfbound.library.campaign import toml
+from perfbound.library.system_argument import given_system
 from perfbound.schemas.errors import CampaignError, DefinitionError, PerfboundError
 from perfbound.schemas.file.reader import load_campaign, parse_campaign
 from perfbound.schemas.trajectory.trajectory import Trajectory
@@ -208,7 +208,7 @@ def test_a_script_without_a_guard_begins_no_campaign_in_its_workers(tmp_path: Pa
 
 
 def test_a_file_that_begins_a_campaign_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("perfbound.library.given.loading", lambda: Path("a.py"))
+    monkeypatch.setattr("perfbound.library.system_argument.loading", lambda: Path("a.py"))
     with pytest.raises(
         DefinitionError, match=r"a\.py: workers load this file for its system, and that must not call pb"
     ):

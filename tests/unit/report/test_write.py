@@ -18,10 +18,11 @@ from click.testing import CliRunner
 from perfbound.orchestrator.cli import report
 from perfbound.orchestrator.cli.group import cli
 from perfbound.orchestrator.report import html as document
-from perfbound.orchestrator.report import nominal, write
-from perfbound.orchestrator.report.data import Axis, ReportData, Surface, to_json
+from perfbound.orchestrator.report import write
+from perfbound.orchestrator.report.data.page import Axis, ReportData, Surface, to_json
+from perfbound.orchestrator.report.data.rollouts import Rollout
 from perfbound.orchestrator.report.figures import figures
-from perfbound.orchestrator.report.rollout_data import Rollout
+from perfbound.orchestrator.report.rollout import nominal
 from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas.result.facts import Header
 from perfbound.schemas.system import SystemSpec

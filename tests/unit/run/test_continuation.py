@@ -14,7 +14,7 @@ from rich.console import Console
 from perfbound.orchestrator.cli import stop
 from perfbound.orchestrator.cli.group import cli
 from perfbound.orchestrator.cli.status import print_status, status_object
-from perfbound.orchestrator.report.collect import Collector
+from perfbound.orchestrator.report.collect.campaign import Collector
 from perfbound.orchestrator.report.write import relocatable
 from perfbound.orchestrator.run import session
 from perfbound.orchestrator.run.continuation import command_with, continue_command, local_workers

@@ -12,8 +12,8 @@ from perfbound.orchestrator.fleet.dispatch.events import Delivered
 from perfbound.orchestrator.fleet.link.transport import Result
 from perfbound.orchestrator.run import results
 from perfbound.orchestrator.run.decoder import Decoded, Decoder
+from perfbound.orchestrator.run.doubted_rollouts import Review
 from perfbound.orchestrator.run.results import Results
-from perfbound.orchestrator.run.review import Review
 from perfbound.schemas.errors import EvidenceError
 from perfbound.schemas.failure import Failure
 from perfbound.schemas.link.messages import ResultHeader

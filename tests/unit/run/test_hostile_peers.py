@@ -20,7 +20,7 @@ from perfbound.orchestrator.fleet.children import processes
 from perfbound.orchestrator.fleet.children.processes import Fleet
 from perfbound.orchestrator.fleet.dispatch import events
 from perfbound.orchestrator.fleet.link.transport import Heartbeat, Token
-from perfbound.orchestrator.run import assignments, roster, service
+from perfbound.orchestrator.run import outbox, roster, service
 from perfbound.orchestrator.run.service import Service
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.rows import DATABASE
@@ -273,7 +273,7 @@ def test_a_result_that_no_assignment_proves_is_not_recorded(tmp_path: Path, calm
     assert [outcome for outcome, _ in recorded(directory)] == ["recorded"] * ROLLOUTS
     assert {line.partition(" of ")[2].partition("-")[0] for line in log.lines} == {"worker"}
     assert all(line.endswith("no assignment proves its result") for line in log.lines)
-    assert not (directory / assignments.KEY).exists()
+    assert not (directory / outbox.KEY).exists()
 
 
 def test_without_the_key_of_the_assignments_their_rollouts_are_simulated_again(
@@ -285,7 +285,7 @@ def test_without_the_key_of_the_assignments_their_rollouts_are_simulated_again(
     with Network() as network, working(network, run_of(directory), [lambda uplink: uplink] * 2):
         with pytest.raises(Stopped):
             serve(directory, network, log, stop=lambda seen: seen.recorded >= 3)
-        (directory / assignments.KEY).unlink()
+        (directory / outbox.KEY).unlink()
         assert serve(directory, network, log, resumed=True) == calm
 
 

@@ -6,9 +6,8 @@ from dataclasses import replace
 from perfbound.orchestrator.fleet.dispatch.events import LinkChanged, RouterChanged
 from perfbound.orchestrator.fleet.dispatch.state import DispatchState, Limits, Worker
 from perfbound.orchestrator.fleet.link.transport import Linked, RouterToken
-from perfbound.orchestrator.run.progress import worker_line
-from perfbound.orchestrator.run.router_link import RouterLink
-from perfbound.orchestrator.run.routers import Routers
+from perfbound.orchestrator.run.display.progress import worker_line
+from perfbound.orchestrator.run.routers import RouterLink, Routers
 from perfbound.orchestrator.run.service import RunStatus, _phases
 from tests.campaigns import config
 

@@ -16,7 +16,7 @@ import pytest
 
 from perfbound.orchestrator.campaign.seeds import is_chosen
 from perfbound.orchestrator.certificate import files
-from perfbound.orchestrator.certificate.opinions import MOST_NAMED
+from perfbound.orchestrator.certificate.assumptions.opinions import MOST_NAMED
 from perfbound.orchestrator.certificate.verify.run import verify_certificate
 from perfbound.orchestrator.fleet.dispatch.state import Limits
 from perfbound.orchestrator.run import service

@@ -20,8 +20,8 @@ from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.fleet.link.transport import Heartbeat, Result, Sink, Token
 from perfbound.orchestrator.run import service
+from perfbound.orchestrator.run.lines import EACH
 from perfbound.orchestrator.run.service import RunStatus, Service
-from perfbound.orchestrator.run.throttle import EACH
 from perfbound.orchestrator.store import files as evidence
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.journal import Journal

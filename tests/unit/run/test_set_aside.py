@@ -11,8 +11,8 @@ import pytest
 from rich.console import Console
 
 from perfbound.orchestrator.cli.status import print_status
-from perfbound.orchestrator.run.feed import message
-from perfbound.orchestrator.run.progress import worker_line
+from perfbound.orchestrator.run.display.progress import worker_line
+from perfbound.orchestrator.run.page.page_feed import message
 from perfbound.orchestrator.run.service import RunStatus
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.progress import read_progress

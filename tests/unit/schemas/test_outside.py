@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from perfbound.orchestrator.certificate import files
-from perfbound.orchestrator.certificate.keys import load_private, new_pair
-from perfbound.orchestrator.certificate.sign import sign_certificate
+from perfbound.orchestrator.certificate.signing.keys import load_private, new_pair
+from perfbound.orchestrator.certificate.signing.sign import sign_certificate
 from perfbound.results import read_certificate, read_trajectory
 from perfbound.schemas.errors import CampaignError, EvidenceError, LinkError, SignatureError
 from perfbound.schemas.file.reader import load_campaign

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from perfbound.orchestrator.run.assignments import forget
 from perfbound.orchestrator.run.directory import claimed
+from perfbound.orchestrator.run.outbox import forget
 from perfbound.orchestrator.store.files import sweep
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.lock import LOCK_FILE, campaign_lock, is_held

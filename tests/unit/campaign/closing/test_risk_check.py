@@ -14,8 +14,8 @@ import pytest
 
 from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.certificate import files
-from perfbound.orchestrator.certificate.bound_text import outward
-from perfbound.orchestrator.certificate.text import check_sentences
+from perfbound.orchestrator.certificate.words.bound_text import outward
+from perfbound.orchestrator.certificate.words.text import check_sentences
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import export, read
 from perfbound.orchestrator.store.journal import Journal

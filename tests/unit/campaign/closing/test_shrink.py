@@ -10,7 +10,7 @@ from rich.console import Console
 
 from perfbound.orchestrator.campaign.checks import check
 from perfbound.orchestrator.certificate import files
-from perfbound.orchestrator.certificate.text import print_certificate
+from perfbound.orchestrator.certificate.words.text import print_certificate
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.robustness import read_values, read_violations

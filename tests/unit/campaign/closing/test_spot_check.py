@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from perfbound.orchestrator.certificate import files, text
+from perfbound.orchestrator.certificate import files
+from perfbound.orchestrator.certificate.words import text
 from perfbound.orchestrator.run.verdict import verdict_of
 from perfbound.orchestrator.store.read import stored_header
 from perfbound.schemas.file.config import CampaignConfig

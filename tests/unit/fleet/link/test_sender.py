@@ -12,7 +12,7 @@ from perfbound.orchestrator.fleet.link import sender as module
 from perfbound.orchestrator.fleet.link.sender import Sender, within_patience
 from perfbound.orchestrator.fleet.link.transport import ZenohTransport
 from perfbound.orchestrator.report.web import server
-from perfbound.orchestrator.run import live_page
+from perfbound.orchestrator.run.page import live_page
 from perfbound.schemas.link.ends import OrchestratorEnd
 from perfbound.schemas.link.messages import Ack, Request
 from tests.patience import PATIENCE

@@ -4,7 +4,7 @@ from typing import get_args
 
 import pytest
 
-from perfbound.orchestrator.certificate.text import QUANTITIES
+from perfbound.orchestrator.certificate.words.text import QUANTITIES
 from perfbound.schemas.file.drawn_claims import SAMPLED
 from perfbound.schemas.file.objectives import (
     CLAIMS,

@@ -1,0 +1,50 @@
+"""The assumption that workers are honest, where rollouts got a second opinion."""
+
+import math
+from collections.abc import Iterable, Sequence
+
+from ....schemas.ids import RolloutId
+from ....schemas.result.certificate import Assumption, Predicate
+from ....schemas.result.facts import Header
+from ...campaign.seeds import is_chosen
+from ...mathematics.bounds.one_law.share import unseen_share
+from .sentences import assumption
+
+UNSEEN = 0.05
+"""Probability that the comparisons miss the share of false rollouts which the certificate names."""
+NAME = "workers_honest"
+MOST_NAMED = 20
+"""Rollouts in the sentence."""
+
+
+def workers_honest(header: Header, evidence: Iterable[RolloutId], contradicted: Sequence[str]) -> Assumption | None:
+    """Return the assumption for the rollouts behind a certificate; None for a campaign without second opinions.
+
+    A chosen rollout is recorded only once two results agree, so all of those in the evidence were compared and agree.
+    """
+    if not header.config.second_opinion:
+        return None
+    if contradicted:
+        named = ", ".join(contradicted[:MOST_NAMED])
+        more = f", and {len(contradicted) - MOST_NAMED} more" if len(contradicted) > MOST_NAMED else ""
+        return assumption(NAME, "refuted", {"count": len(contradicted), "rollouts": named + more}, form="outvoted")
+    compared = sum(is_chosen(header, rollout) for rollout in evidence)
+    share = unseen_share(compared, UNSEEN) if compared else 1.0
+    values = {
+        "chosen": 100 * header.config.second_opinion,
+        "compared": compared,
+        "agreed": compared,
+        "percent": math.ceil(1000 * share) / 10,
+    }
+    return assumption(NAME, "not refuted" if compared else "assumed", values, form="second_opinion")
+
+
+def admitted_rollouts(found: Predicate) -> list[str]:
+    """Return the contradicted rollouts that a certificate admits; without a name where its sentence only counts."""
+    admitted = [each for each in found.assumptions if each.id == NAME and each.status == "refuted"]
+    names = [name for each in admitted for name in str(each.values.get("rollouts", "")).split(", ")]
+    count = next((each.values.get("count") for each in admitted), None)
+    # The file is anyone's: no more are made than the evidence can have.
+    if len(names) <= MOST_NAMED or not isinstance(count, int) or not MOST_NAMED < count <= found.evidence.rollouts:
+        return names
+    return names[:MOST_NAMED] + [""] * (count - MOST_NAMED)

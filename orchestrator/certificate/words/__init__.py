@@ -1,0 +1,1 @@
+"""A certificate in words: claims, bounds, regions, refutations, and what would help."""

@@ -1,0 +1,146 @@
+"""Bounds and their probabilities as text, rounded to the safe side."""
+
+import math
+from collections.abc import Mapping, Sequence, Sized
+
+from ....schemas.errors import one_line
+from ....schemas.file.drawn_claims import PROBABILITIES
+from ....schemas.result.certificate import Assumption, Certificate, CertificateClaim
+from ....schemas.system import SystemSpec
+
+DIGITS = 4
+"""After the point, of every printed number."""
+
+
+def outward(bound: float, sense: str) -> str:
+    """Return a bound with four digits that is no stronger than `bound`.
+
+    >>> outward(0.00019, ">="), outward(-0.00011, ">="), outward(0.00011, "<="), outward(1e305, ">=")
+    ('0.0001', '-0.0002', '0.0002', '1e+305')
+    """
+    scaled = bound * 10**DIGITS
+    if not math.isfinite(scaled):  # a number of a file that nobody has checked yet
+        return f"{bound:g}"
+    nearest = round(scaled)
+    # A bound that has four digits, but for the last bits of a float, keeps them.
+    if not math.isclose(scaled, nearest, rel_tol=0, abs_tol=1e-6):
+        nearest = math.floor(scaled) if sense == ">=" else math.ceil(scaled)
+    return f"{nearest / 10**DIGITS:.{DIGITS}f}"
+
+
+def in_unit(text: str, unit: str) -> str:
+    """Return a number with its unit, if it has one.
+
+    >>> in_unit("0.5", "m"), in_unit("0.5", "1"), in_unit("0.5", "")
+    ('0.5 m', '0.5', '0.5')
+    """
+    return text if unit in ("", "1") else f"{text} {one_line(unit)}"
+
+
+def margin_text(text: str, claim: CertificateClaim, unit: str) -> str:
+    """Return a number of a claim with the unit of the robustness, where it is one."""
+    return in_unit(text, claim_unit(claim, unit))
+
+
+def claim_unit(claim: CertificateClaim, unit: str) -> str:
+    """Return the unit of a claim's bound, by that of the robustness; empty where it has none, as a probability.
+
+    >>> made = {"sense": "<=", "bound": 0.01, "probability": 0.95, "rule": "single", "method": "sample",
+    ...         "assumptions": (), "refuted": ()}
+    >>> [claim_unit(CertificateClaim(quantity=each, **made), "m") for each in ("failure_probability", "quantile")]
+    ['', 'm']
+    """
+    return "" if unit == "1" or claim.quantity in {"J_star", "safe_share", *PROBABILITIES} else one_line(unit)
+
+
+def chance(probability: float, assumptions: Sized | None = None) -> str:
+    """Return the probability of a bound; `assumptions` are those that it rests on, None where they are not listed.
+
+    Certainty is that of a system without noise, and it rests on assumptions all the same.
+
+    >>> chance(0.95), chance(1.0), chance(1.0, ("kernel/robustness",)), chance(1.0, ())
+    ('with probability at least 0.9500', 'certain, if its assumptions hold', 'certain, if its 1 assumption holds', \
+'certain')
+    """
+    if probability < 1.0:
+        return f"with probability at least {outward(probability, '>=')}"
+    if assumptions is None:
+        return "certain, if its assumptions hold"
+    return f"certain, {if_they_hold(assumptions)}" if assumptions else "certain"
+
+
+def if_they_hold(assumptions: Sized) -> str:
+    """Return the condition of a claim that rests on assumptions.
+
+    >>> if_they_hold(("kernel/robustness",)), if_they_hold("ab")
+    ('if its 1 assumption holds', 'if its 2 assumptions hold')
+    """
+    number = len(assumptions)
+    return f"if its {number} assumption{' holds' if number == 1 else 's hold'}"
+
+
+def clip_words(clip: Sequence[float]) -> str:
+    """Return the words that a margin is clipped.
+
+    >>> clip_words((-0.2, 1.0))
+    'clipped to [-0.2, 1]'
+    """
+    return f"clipped to [{', '.join(f'{end:g}' for end in clip)}]"
+
+
+def short_chance(probability: float, assumptions: Sized | None = None) -> str:
+    """Return the same for a line of a list.
+
+    >>> short_chance(0.95), short_chance(1.0, ("kernel/robustness",))
+    ('probability 0.9500', 'certain, if its 1 assumption holds')
+    """
+    return f"probability {outward(probability, '>=')}" if probability < 1.0 else chance(probability, assumptions)
+
+
+# Starts, with names and units: a certificate has bare numbers of some of them
+
+BETWEEN = ", "
+"""Joins the numbers of a start, which is the value `start` of an assumption."""
+
+
+def parameter_units(spec: SystemSpec) -> dict[str, str]:
+    """Return the units of the parameters by their names, in the order of a start."""
+    return {parameter.name: parameter.unit for parameter in spec.parameters}
+
+
+def start_words(numbers: Sequence[str], units: Mapping[str, str]) -> str:
+    """Return the numbers of a start with the names and units of its parameters; alone where these do not fit.
+
+    >>> start_words(("55.265", "3.4"), {"gap": "m", "mass": "1"}), start_words(("1", "2"), {})
+    ('gap = 55.265 m, mass = 3.4', '1, 2')
+    """
+    if len(numbers) != len(units):
+        return BETWEEN.join(numbers)
+    pairs = zip(numbers, units.items(), strict=True)
+    each = (in_unit(f"{name} = {number}", unit) for number, (name, unit) in pairs)
+    return BETWEEN.join(each)
+
+
+def with_named_start(found: Assumption, units: Mapping[str, str]) -> Assumption:
+    """Return an assumption with names and units in its sentence, to be shown."""
+    start = found.values.get("start")
+    if not isinstance(start, str) or not all(map(_is_number, start.split(BETWEEN))):
+        return found
+    # Every sentence has it at the end of a parenthesis; a bound may have the same digits.
+    words = start_words(start.split(BETWEEN), units)
+    return found.model_copy(update={"detail": found.detail.replace(f"{start})", f"{words})")})
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def with_named_starts(certificate: Certificate, units: Mapping[str, str]) -> Certificate:
+    """Return a certificate with names and units in its sentences, to be printed."""
+    predicate = certificate.predicate
+    named = tuple(with_named_start(each, units) for each in predicate.assumptions)
+    return certificate.model_copy(update={"predicate": predicate.model_copy(update={"assumptions": named})})

@@ -1,0 +1,111 @@
+"""The sentences beside a claim that rests on refuted assumptions: what refutes them, and whether it is false itself."""
+
+from collections.abc import Mapping, Sequence
+
+from ....schemas.result.certificate import Counterexample, RiskAtStart
+from ..assumptions.sentences import statement
+from .bound_text import DIGITS, in_unit
+
+BY_DERIVATION = {"centred_noise"}
+"""Assumptions that are refuted without any data; all others are refuted by data."""
+
+
+def refutation_sentence(refuted: Sequence[str]) -> str:
+    """Return why nobody should rely on a claim; `refuted` are the ids of its refuted assumptions, at least one.
+
+    >>> refutation_sentence(("rkhs_norm/nominal_robustness", "rkhs_norm/sim_gap"))
+    'REFUTED by its own data: rkhs_norm of nominal_robustness and sim_gap. Do not rely on it.'
+    >>> refutation_sentence(("centred_noise/true_risk", "workers_honest"))
+    'REFUTED by its own data: workers_honest; by derivation: centred_noise of true_risk. Do not rely on it.'
+    """
+    derived = [each for each in refuted if each.partition("/")[0] in BY_DERIVATION]
+    sources = {"by its own data": [each for each in refuted if each not in derived], "by derivation": derived}
+    found = "; ".join(f"{source}: {_listed(those)}" for source, those in sources.items() if those)
+    return f"REFUTED {found}. Do not rely on it."
+
+
+def refutation_words(refuted: Sequence[str]) -> str:
+    """Return what is refuted in plain words, with the ids behind each statement.
+
+    >>> refutation_words(("rkhs_norm/nominal_robustness", "rkhs_norm/sim_gap"))
+    'The data refute that the norm bound B is large enough for this kernel and prior mean (rkhs_norm of \
+nominal_robustness and sim_gap).'
+    >>> refutation_words(("workers_honest", "centred_noise/true_risk"))
+    'The data refute that worker processes send what they simulated (workers_honest). By derivation it is \
+wrong that an observation is right on average (centred_noise of true_risk).'
+    """
+    derived = [each for each in refuted if each.partition("/")[0] in BY_DERIVATION]
+    sources = {
+        "The data refute": [each for each in refuted if each not in derived],
+        "By derivation it is wrong": derived,
+    }
+    return " ".join(f"{source} {_stated(those)}." for source, those in sources.items() if those)
+
+
+def risk_sentence(subject: str, at_start: RiskAtStart, risk: str, limit: str) -> str:
+    """Return whether the risk at a start is below a bound that is refuted there, with the rounded bounds of both."""
+    if at_start.status == "below":
+        shown = f"at most {risk}, below the bound {limit}, by {at_start.rollouts} further rollouts"
+        return f"{subject}: {shown}: the claim is false."
+    open_question = f"whether the risk itself is below the bound {limit}"
+    rollouts = f"{at_start.rollouts} further rollouts (it is at most {risk})"
+    return f"{subject}: the claim has lost its grounds; {open_question} is not decided by {rollouts}."
+
+
+def _stated(refuted: Sequence[str]) -> str:
+    """Return the statements of refuted assumptions, each once, with their ids."""
+    found: dict[str, list[str]] = {}
+    for each in refuted:
+        found.setdefault(statement(each), []).append(each)
+    return ", and ".join(f"that {words} ({_listed(those)})" for words, those in found.items())
+
+
+def _listed(refuted: Sequence[str]) -> str:
+    """Return ids as words, each name once: `rkhs_norm/a`, `rkhs_norm/b` as `rkhs_norm of a and b`."""
+    problems: dict[str, list[str]] = {}
+    for each in refuted:
+        name, _, problem = each.partition("/")
+        problems.setdefault(name, []).extend([problem] if problem else [])
+    return ", ".join(f"{name} of {' and '.join(those)}" if those else name for name, those in problems.items())
+
+
+# The counterexample, and what a bisection made of it, if it was sought
+
+
+def counterexample_words(found: Counterexample, unit: str, units: Mapping[str, str] | None = None) -> str:
+    """Return what a counterexample is; `unit` is that of the robustness, `units` those of the parameters."""
+    start = named_start(found.start, units)
+    others = f", the worst of its {found.rollouts} rollouts" if found.rollouts > 1 else ""
+    margin = margin_words(found.robustness, unit)
+    words = f"test {found.test} violates the specification: robustness {margin} at {start}, seed {found.seed}"
+    return f"{words} (rollout {found.rollout}{others}){_shrunk_words(found, unit, units)}"
+
+
+def _shrunk_words(found: Counterexample, unit: str, units: Mapping[str, str] | None) -> str:
+    """Return where the system still fails nearer to the nominal start; empty where that was not sought."""
+    near = found.shrunk
+    if near is None:
+        return ""
+    tried = f"{near.rollouts} rollout{'' if near.rollouts == 1 else 's'} towards {named_start(near.nominal, units)}"
+    if near.rollout == found.rollout:
+        return f"; after {tried} no start that was tried on the line there fails"
+    where = (
+        f"{named_start(near.start, units)}, robustness {margin_words(near.robustness, unit)} (rollout {near.rollout})"
+    )
+    return f"; on the line there, with this seed, the failing start next to one that passes, after {tried}: {where}"
+
+
+def margin_words(robustness: float, unit: str) -> str:
+    """Return a robustness with its unit, if it has one."""
+    return in_unit(f"{robustness:.{DIGITS}f}", unit)  # a value, no bound
+
+
+def named_start(start: Mapping[str, float], units: Mapping[str, str] | None = None) -> str:
+    """Return a start with the names of its parameters; where units are given, with these, and in their order.
+
+    >>> named_start({"mass": 0.25, "gap": 5.0}, {"gap": "m", "mass": "1"})
+    'gap = 5 m, mass = 0.25'
+    """
+    shown = units or {}
+    names = [name for name in shown if name in start] + [name for name in start if name not in shown]
+    return ", ".join(in_unit(f"{name} = {start[name]:.7g}", shown.get(name, "")) for name in names)

@@ -1,0 +1,1 @@
+"""From the facts of a campaign to the data of its report."""

@@ -1,0 +1,115 @@
+"""The data of each problem, completed by what its own facts do not have: all rollouts, the spot check, the regions."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from ....schemas.result.certificate import Counterexample, Predicate, ProblemResult
+from ....schemas.result.facts import Header, RolloutFact
+from ...store.export_tables import robustness_unit
+from ...store.rollout_values import RolloutValueReader
+from ..data.charts import Prediction, ProblemCharts
+from ..data.page import Problem, RegionMap
+from ..data.rollouts import FoundCounterexample
+from . import wording
+from .fresh_starts import FreshStarts, is_refuted
+from .histogram import RolloutValues
+from .prediction import prediction
+from .problem import ProblemCollector
+
+
+class ProblemCompleter:
+    """Completes the data of the problems of one campaign. Not thread-safe."""
+
+    def __init__(self, directory: Path) -> None:
+        self._directory = directory
+        self._reader, self._values = RolloutValueReader(directory), RolloutValues()
+        self._fresh = FreshStarts()
+        # A certificate is final, and so is what follows from it.
+        self._predicted: dict[str, Prediction | None] = {}
+        self._divided: dict[str, RegionMap | None] = {}
+
+    def add(self, facts: Iterable[object], violations: Iterable[RolloutFact]) -> None:
+        """Add the next facts and violations, those of a spot check, and read the rollouts since the last call.
+
+        Raises:
+            JournalError: there is no campaign, or its database is damaged.
+
+        """
+        for fact in facts:
+            self._fresh.add(fact)
+        for violation in violations:
+            self._fresh.add_violation(violation)
+        self._values.add(self._reader.read())
+
+    def reopen(self) -> None:
+        """Forget what followed from a certificate, because the campaign was extended."""
+        self._predicted.clear()
+        self._divided.clear()
+
+    def data(
+        self, collector: ProblemCollector, result: ProblemResult | None, header: Header, predicate: Predicate | None
+    ) -> Problem:
+        """Return the data of a problem; `result` is its part of the certificate.
+
+        Raises:
+            ValueError: the method cannot continue.
+
+        """
+        found = collector.data(result)
+        charts = self._charts(collector, header, predicate)
+        refuted = predicate is not None and is_refuted(predicate, collector.plan)
+        return replace(found, regions=self._regions(collector, predicate), charts=charts, refuted=refuted)
+
+    def _charts(self, collector: ProblemCollector, header: Header, predicate: Predicate | None) -> ProblemCharts:
+        plan, fed = collector.plan, collector.fed
+        spot = predicate.spot_check if predicate else None
+        if spot is not None and fed is not None and plan.key not in self._predicted:
+            self._predicted[plan.key] = prediction(spot, self._fresh, plan, *fed)
+        failing = () if predicate is None else self._fresh.failing(predicate, plan)
+        # Where starts are drawn another histogram has the bounds; a requirement has the rollouts of the whole.
+        by_itself = plan.candidates is None or plan.requirement is not None
+        unit = robustness_unit(header.config, header.spec)
+        rollouts = None if by_itself else self._values.histogram(plan.name, header.config.clip, unit)
+        predicted = self._predicted.get(plan.key)
+        return replace(collector.charts, prediction=predicted, failing=failing, rollouts=rollouts)
+
+    def _regions(self, collector: ProblemCollector, predicate: Predicate | None) -> RegionMap | None:
+        name = collector.problem.name
+        if predicate is not None and name not in self._divided:
+            self._divided[name] = collector.regions(self._directory, predicate)
+        return self._divided.get(name)
+
+
+def ending_counterexample(
+    problems: Iterable[ProblemCollector],
+    violations: Sequence[RolloutFact],
+    certified: Counterexample | None,
+    header: Header,
+    command: Callable[[str], str],
+) -> FoundCounterexample | None:
+    """Return the rollout that ended a campaign; None if none did.
+
+    `violations` have the least robustness first, `certified` is that of the certificate, and `command` returns the
+    command that simulates a rollout again.
+    """
+    for each in problems:
+        last = each.ended_by_counterexample
+        name = (each.problem.name, None if last is None else last.test)
+        worst = next((fact for fact in violations if fact.rollout[:2] == name), None)
+        if worst is not None:
+            sentence = wording.counterexample_sentence(certified or _of_facts(each, worst), header)
+            return FoundCounterexample(worst.rollout.problem, worst.rollout.test, sentence, command(str(worst.rollout)))
+    return None
+
+
+def _of_facts(problem: ProblemCollector, worst: RolloutFact) -> Counterexample:
+    plan, start = problem.plan, problem.starts[worst.rollout.test]
+    return Counterexample(
+        rollout=str(worst.rollout),
+        test=worst.rollout.test,
+        rollouts=len(plan.rollouts),
+        start=dict(zip(plan.parameters, start, strict=True)),
+        seed=worst.seed,
+        robustness=worst.robustness or 0.0,
+    )

@@ -1,0 +1,93 @@
+"""How sure the first claim is, in plain sentences: its probability, its constants, and what holds without them."""
+
+from collections.abc import Iterator
+
+from ....schemas.errors import one_line
+from ....schemas.file.objectives import Quantity
+from ....schemas.result.certificate import CertificateClaim, MostStarts, Predicate, Sensitivity
+from ....schemas.result.verdict import ByRollouts, CampaignVerdict
+from ...campaign.clip import is_vacuous
+from ...certificate.words.bound_text import outward
+from ...certificate.words.text import is_irreproducible, margin_at_most_starts
+
+CHANGES = {
+    ("rkhs_norm", 2.0): "With a norm bound B twice as large the same tests prove",
+    ("rkhs_norm", 4.0): "with one four times as large",
+    ("length_scale", 0.5): "with half the length scale",
+}
+"""Variations of the sensitivity, in the order of the sentence."""
+IN_UNIT: tuple[Quantity, ...] = ("rho_star", "robustness", "expected_robustness")
+"""Quantities of a claim that have the unit of the robustness."""
+
+
+def confidence_sentences(verdict: CampaignVerdict, predicate: Predicate, *, repeated: bool = False) -> Iterator[str]:
+    """Yield how sure a verdict is; `repeated` tells whether a repetition of the worst rollout gave the same."""
+    unit = "" if verdict.unit == "1" else one_line(verdict.unit)
+    if verdict.by_rollouts:
+        yield _shown_by_rollouts(verdict.by_rollouts, verdict.required_probability, repeated=repeated)
+        if any(each.id == "borders" for each in predicate.assumptions):
+            yield "It may depend on how time stamps at borders of windows are read: see the assumption `borders`."
+        return
+    claim = predicate.claims[0]
+    if claim.refuted:
+        number = len(claim.assumptions)
+        its = f"{number} assumption{'' if number == 1 else 's'}"
+        yield f"Not at all: the campaign refutes {len(claim.refuted)} of its {its}."
+    # The bound from the other side shows a violation with the probability of the claim, however weak its own bound is.
+    elif not claim.vacuous or verdict.verdict == "VIOLATED":
+        yield _wrong_at_most(claim)
+        if verdict.verdict == "SHOWN":
+            yield from _with_other_constants(predicate, unit, verdict.required)
+    else:
+        yield "Nothing is claimed that could be wrong: the bound holds without any rollout."
+
+
+def _shown_by_rollouts(how: ByRollouts, probability: float, *, repeated: bool) -> str:
+    if how == "certain" and repeated:
+        return "Certain of the simulator: the rollout shows it, and its repetition shows the same."
+    if how == "certain":
+        return "Certain of the simulator: the rollout shows it. This rollout was not repeated."
+    wrong = outward(1.0 - probability, "<=")
+    return f"Wrong with probability at most {wrong}, by the chance in the rollouts. Kernel and norm bound are not used."
+
+
+def anyway(verdict: CampaignVerdict, predicate: Predicate) -> str:
+    """Return what fresh starts prove without B and kernel; empty where they prove nothing, or a violation is shown."""
+    most = predicate.spot_check and predicate.spot_check.most_starts
+    if verdict.verdict == "VIOLATED" or is_irreproducible(predicate.claims[0]):
+        return ""
+    unit = "" if verdict.unit == "1" else one_line(verdict.unit)
+    return _of_fresh_starts(most, unit) if most else ""
+
+
+def _with_other_constants(predicate: Predicate, unit: str, required: float | None) -> Iterator[str]:
+    claim = predicate.claims[0]
+    of_claim = unit if claim.quantity in IN_UNIT else ""
+    rows = [row for row in predicate.sensitivity or () if row.claim == 0]
+    if rows:
+        changed = (f"{CHANGES[row.constant, row.factor]} {_bound_with(claim, row, of_claim, required)}" for row in rows)
+        yield f"{'; '.join(changed)}."
+
+
+def _wrong_at_most(claim: CertificateClaim) -> str:
+    if claim.probability == 1.0:
+        return "Certain, if its assumptions hold: nothing is random."
+    wrong = outward(1.0 - claim.probability, "<=")
+    return f"If its assumptions hold, it is wrong with probability at most {wrong}: by the chance in the rollouts."
+
+
+def _bound_with(claim: CertificateClaim, row: Sensitivity, unit: str, required: float | None) -> str:
+    if row.bound is None or is_vacuous(row.bound, claim.sense, claim.by_clip):
+        return "nothing, so NOT SHOWN"
+    bound = f"{claim.sense} {outward(row.bound, claim.sense)} {unit}".rstrip()
+    enough = required is None or (row.bound >= required if claim.sense == ">=" else row.bound <= required)
+    return f"{bound}, still SHOWN" if enough else f"{bound}, so NOT SHOWN"
+
+
+def _of_fresh_starts(found: MostStarts, unit: str) -> str:
+    bound = f"{outward(found.bound, '>=')} {unit}".rstrip()
+    share, probability = f"{100 * found.share:g} %", outward(found.probability, ">=")
+    return (
+        f"Without B and the kernel, by fresh starts alone: {margin_at_most_starts(found)} at least {bound} from all "
+        f"but {share} of the starts, with probability at least {probability}. Of those {share} it says nothing."
+    )

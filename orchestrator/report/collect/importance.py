@@ -1,0 +1,69 @@
+"""The importance of each parameter of a problem, from its posterior mean or from what was observed at drawn starts."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...campaign.plan import ProblemPlan
+from ...mathematics.gp.lattice import Lattice
+from ...mathematics.importance import Floats, lattice_effect, lattice_indices, sample_effect, sample_indices
+from ..data.charts import Importance, ParameterImportance
+
+FEWEST = 50
+"""Tests at drawn starts: of fewer every share may be chance."""
+MOST_PARAMETERS = 12
+"""Parameters in the data, the most important ones."""
+MOST_POINTS = 41
+"""Points of a main effect of the model."""
+GROUP = 20
+"""Tests of one point of an observed main effect, at least, but for few tests."""
+GROUPS = 20
+
+
+def of_model(plan: ProblemPlan, mean: Floats) -> Importance | None:
+    """Return the importance for the posterior mean (m,) at the candidates, with the sign of the objective.
+
+    None where the candidates are no lattice over a box, for one parameter, and for a mean that is constant or missing.
+    """
+    box = plan.candidates
+    if not isinstance(box, Lattice) or box.dimension < 2 or not np.isfinite(mean).all():
+        return None
+    values = mean.reshape((box.resolution,) * box.dimension)
+    indices = lattice_indices(values)
+    if indices is None:
+        return None
+    kept = np.unique(np.rint(np.linspace(0, box.resolution - 1, min(MOST_POINTS, box.resolution))).astype(np.intp))
+    parameters = []
+    for axis in _most_important(indices.total):
+        at = np.linspace(box.low[axis], box.high[axis], box.resolution)[kept]
+        effect = lattice_effect(values, axis)[kept]
+        first, total = float(indices.first[axis]), float(indices.total[axis])
+        parameters.append(ParameterImportance(axis, first, total, tuple(at.tolist()), tuple(effect.tolist())))
+    return Importance(True, box.size, None, tuple(parameters))
+
+
+def of_drawn_tests(starts: Sequence[Sequence[float]], observed: Sequence[float]) -> Importance | None:
+    """Return the importance for values that were observed at starts that are drawn independently of one another.
+
+    None for fewer than `FEWEST`, for one parameter, and for values that are all equal.
+    """
+    if len(starts) < FEWEST or len(starts[0]) < 2:
+        return None
+    x, y = np.array(starts), np.array(observed)
+    shares = sample_indices(x, y)
+    if shares is None:
+        return None
+    groups = max(5, min(GROUPS, len(y) // GROUP))
+    parameters = []
+    for axis in _most_important(shares):
+        at, effect = sample_effect(x[:, axis], y, groups)
+        parameters.append(
+            ParameterImportance(axis, float(shares[axis]), None, tuple(at.tolist()), tuple(effect.tolist()))
+        )
+    return Importance(False, len(y), 2.0 / math.sqrt(len(y)), tuple(parameters))
+
+
+def _most_important(shares: Floats) -> list[int]:
+    order: list[int] = np.argsort(-shares, kind="stable").tolist()
+    return order[:MOST_PARAMETERS]

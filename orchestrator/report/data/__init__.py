@@ -1,0 +1,1 @@
+"""The data of report and live page, whose field names are the keys of their JSON."""

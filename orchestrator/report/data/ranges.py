@@ -1,0 +1,14 @@
+"""The ranges of the parameters that a campaign's starts are in."""
+
+from ....schemas.file.parameters import parameter_ranges
+from ....schemas.result.facts import Header
+
+
+def ranges(header: Header) -> dict[str, tuple[float, float]]:
+    """Return the least and the greatest value of each parameter, in the order of the system."""
+    space, parameters = header.config.space, header.spec.parameters
+    if isinstance(space, dict):
+        boxes = parameter_ranges(space)
+        return {each.name: (boxes[each.name].low, boxes[each.name].high) for each in parameters}
+    columns = zip(*space.rows, strict=True)
+    return {each.name: (min(values), max(values)) for each, values in zip(parameters, columns, strict=True)}

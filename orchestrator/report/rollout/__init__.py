@@ -1,0 +1,1 @@
+"""Single rollouts: curves, robustness over time, a picture, a replay beside another one."""

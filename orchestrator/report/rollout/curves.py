@@ -1,0 +1,156 @@
+"""Curves of rollouts: the columns of a problem, their limits, and their values, thinned."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ....schemas.file.problem_models import Problem
+from ....schemas.result.facts import Header
+from ....schemas.trajectory.input_signal import InputSignal, start_values
+from ....schemas.trajectory.trajectory import Trajectory
+from ...mathematics.stl.parser import FormulaError, parse_formula
+from ...mathematics.stl.tree import (
+    Absolute,
+    Column,
+    Comparison,
+    Expression,
+    Formula,
+    Negative,
+    Number,
+    columns,
+    predicates,
+)
+from ..data.ranges import ranges
+from ..data.rollouts import Curve, InputCurve
+
+Floats = NDArray[np.float64]
+
+MOST_POINTS = 240
+"""Points of one curve."""
+INPUT_POINTS = 101
+"""Of an input signal, beside its knots."""
+MOST_COLUMNS = 3
+"""Columns drawn for one test."""
+MOST_FURTHER = 40
+"""Further columns of a test, which a reader may ask for."""
+FURTHER_POINTS = 120
+"""Points of a curve of theirs."""
+
+
+def formula(header: Header) -> Formula | None:
+    """Return the specification; None if there is none, or if its grammar is that of another version."""
+    text = header.config.formula
+    try:
+        return None if text is None else parse_formula(text, [column.name for column in header.spec.columns])
+    except FormulaError:
+        return None
+
+
+def relevant_columns(header: Header, problem: Problem) -> tuple[str, ...]:
+    """Return the columns that a problem's objective reads, in the order of the system."""
+    gap = header.config.gap_of(problem)
+    tree = formula(header)
+    wanted: frozenset[str | None] = columns(tree) if tree else frozenset()
+    if problem.column is not None:
+        wanted = frozenset({problem.column})
+    elif gap is not None and gap.column is not None:
+        wanted = frozenset({gap.column})
+    return tuple(column.name for column in header.spec.columns if column.name in wanted)[:MOST_COLUMNS]
+
+
+def further_columns(header: Header, shown: Sequence[str]) -> tuple[str, ...]:
+    """Return the recorded columns beside those shown, in the order of the system; the first one is the time."""
+    return tuple(column.name for column in header.spec.columns[1:] if column.name not in shown)
+
+
+def limits(header: Header, names: Sequence[str]) -> tuple[tuple[str, float], ...]:
+    """Return (column, limit) of every predicate that compares one column, or its absolute value, with a number."""
+    tree = formula(header)
+    found = {limit for predicate in predicates(tree) for limit in _limits(predicate)} if tree else set()
+    return tuple(limit for limit in sorted(found) if limit[0] in names)
+
+
+def column_unit(header: Header, name: str) -> str:
+    """Return the unit of a column of the system."""
+    return next(column.unit for column in header.spec.columns if column.name == name)
+
+
+def of_trajectory(
+    header: Header,
+    names: Sequence[str],
+    trajectory: Trajectory,
+    label: str,
+    variant: str,
+    *,
+    rollout: str = "",
+    most: int = MOST_POINTS,
+) -> Iterator[Curve]:
+    """Yield the curves of one rollout, of at most `most` points; none for a single sample, which is a number."""
+    if len(trajectory.samples) < 2:
+        return
+    for name in names:
+        t, values = thinned(trajectory.samples[:, 0], trajectory.column(name), most)
+        yield Curve(label, variant, name, column_unit(header, name), t, values, rollout)
+
+
+def of_signals(header: Header, x: Sequence[float]) -> Iterator[InputCurve]:
+    """Yield the input signals of a start (p,) over time."""
+    spec, horizon = header.spec, header.config.horizon
+    if not spec.signals:
+        return
+    units = {each.name: each.unit for each in spec.declared.parameters}
+    ends, values = ranges(header), start_values(spec, x, horizon)
+    for shape in spec.signals:
+        signal = values[shape.name]
+        assert isinstance(signal, InputSignal), "the system declares it"
+        # Steps are vertical: a point before each knot, and one at it.
+        t = np.unique([*np.linspace(0.0, horizon, INPUT_POINTS), *signal.times, *_before(signal)])
+        yield InputCurve(
+            name=shape.name,
+            unit=units[shape.name],
+            kind=signal.kind,
+            t=tuple(t.tolist()),
+            values=tuple(signal(t).tolist()),
+            knots=signal.times,
+            low=min(ends[name][0] for name in shape.names),
+            high=max(ends[name][1] for name in shape.names),
+        )
+
+
+def _before(signal: InputSignal) -> list[float]:
+    return [t * (1 - 1e-6) for t in signal.times] if signal.kind == "constant" else []
+
+
+def thinned(t: Floats, values: Floats, most: int = MOST_POINTS) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return a curve (T,) with at most `most` points: its ends, and least and greatest value of equal parts."""
+    rows = np.arange(len(t))
+    if len(t) > most:
+        # The extremes and not every n-th sample: a short peak may be the one that violates the specification.
+        parts = np.array_split(rows[1:-1], (most - 2) // 2)
+        extremes = [part[pick] for part in parts for pick in (np.argmin(values[part]), np.argmax(values[part]))]
+        rows = np.unique([0, *extremes, len(t) - 1])
+    return tuple(t[rows].tolist()), tuple(values[rows].tolist())
+
+
+def _limits(predicate: Comparison) -> Iterator[tuple[str, float]]:
+    """Yield (column, limit) if one side is a column and the other a number; two limits for an absolute value."""
+    for side, other in ((predicate.left, predicate.right), (predicate.right, predicate.left)):
+        match side, _constant(other):
+            case Column(name), float(limit):
+                yield name, limit
+            case Negative(Column(name)), float(limit):
+                yield name, -limit
+            case Absolute(Column(name)), float(limit):
+                yield name, -limit
+                yield name, limit
+
+
+def _constant(tree: Expression) -> float | None:
+    match tree:
+        case Number(value):
+            return value
+        case Negative(Number(value)):
+            return -value
+        case _:
+            return None

@@ -1,0 +1,94 @@
+"""A recorded rollout: its fact, its file, and its request."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import sqlalchemy as sa
+from sqlalchemy import Connection
+
+from ....schemas.errors import EvidenceError, PerfboundError
+from ....schemas.ids import RolloutId
+from ....schemas.result.facts import Header, ProposalFact, RolloutFact
+from ....schemas.rollout import RolloutRequest
+from ....schemas.trajectory.trajectory import Trajectory
+from ...store import tables
+from ...store.read import read_header, reading
+from ...store.rows import READERS
+from .of_tests import read_recorded
+
+_rollouts, _tests = tables.rollouts.c, tables.tests.c
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedRollout:
+    """One rollout of a campaign; `trajectory` is None if its file is damaged, and `damage` gives the reason."""
+
+    header: Header
+    fact: RolloutFact
+    request: RolloutRequest
+    trajectory: Trajectory | None
+    damage: str = ""
+
+
+def load_recorded(directory: Path, text: str) -> RecordedRollout:
+    """Return the rollout `text`, e.g. `sim_gap.3.true.0`, of the campaign in `directory`.
+
+    Raises:
+        JournalError: there is no campaign, or it cannot be read.
+        PerfboundError: it has no such rollout.
+        EvidenceError: the file is whole, but belongs to another request than the one that follows from the facts.
+
+    """
+    with reading(directory) as connection:
+        header = read_header(connection, directory)
+        fact, proposal = _find(connection, header, directory, text)
+    # The recorded seed, for a recheck has that of the rollout it repeats; `verify` shows whether it is the right one.
+    request = header.template.request(fact.rollout, proposal.proposal.x, fact.seed)
+    try:
+        file = read_recorded(directory, fact)
+    except EvidenceError as error:  # a replay can restore a damaged file
+        return RecordedRollout(header, fact, request, None, str(error))
+    # The digest proves that this is the recorded file, not that its worker simulated this request.
+    if file.request != request.model_dump(mode="json"):
+        raise EvidenceError(
+            f"{directory / fact.path}: it belongs to another request than the one that follows from the facts; "
+            "check the campaign with `perfbound verify`"
+        )
+    return RecordedRollout(header, fact, request, file.trajectory)
+
+
+def _find(connection: Connection, header: Header, directory: Path, text: str) -> tuple[RolloutFact, ProposalFact]:
+    try:
+        rollout = RolloutId.parse(text.replace("-", "."))
+    except ValueError:
+        raise PerfboundError(
+            f"{text!r} names no rollout; use problem.test.variant.replicate, e.g. {_example(connection)}"
+        ) from None
+    of_test = (_rollouts.problem == rollout.problem) & (_rollouts.test == rollout.test)
+    rows = connection.execute(sa.select(tables.rollouts).where(of_test))
+    found = {fact.rollout: fact for fact in map(READERS[tables.rollouts.name], rows) if isinstance(fact, RolloutFact)}
+    if rollout not in found:
+        existing = _existing(connection, header, rollout, [str(each) for each in sorted(found)])
+        raise PerfboundError(f"{directory}: no rollout {rollout} is recorded; {existing}")
+    where = (_tests.problem == rollout.problem) & (_tests.test == rollout.test)
+    proposal = READERS[tables.tests.name](connection.execute(sa.select(tables.tests).where(where)).one())
+    assert isinstance(proposal, ProposalFact), "the reader of that table"
+    return found[rollout], proposal
+
+
+def _example(connection: Connection) -> str:
+    row = connection.execute(sa.select(tables.rollouts).order_by(_rollouts.seq).limit(1)).first()
+    return f"{row.problem}.{row.test}.{row.variant}.{row.replicate}" if row else "sim_gap.0.true.0"
+
+
+def _existing(connection: Connection, header: Header, rollout: RolloutId, of_test: list[str]) -> str:
+    """Return the nearest choice: rollouts of the test, tests of the problem, or the problems."""
+    if of_test:
+        return f"choose one of its test: {', '.join(of_test[:4])}{', ...' if len(of_test) > 4 else ''}"
+    last = connection.execute(sa.select(sa.func.max(_rollouts.test)).where(_rollouts.problem == rollout.problem))
+    if (number := last.scalar()) is not None:
+        return f"choose a test of {rollout.problem} from 0 to {number}"
+    first = sa.func.min(_rollouts.seq)
+    recorded = connection.execute(sa.select(_rollouts.problem).group_by(_rollouts.problem).order_by(first)).scalars()
+    names = dict.fromkeys([*recorded, *(problem.name for problem in header.config.problems)])
+    return f"choose a problem or a check: {', '.join(names)}"

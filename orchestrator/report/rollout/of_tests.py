@@ -1,0 +1,138 @@
+"""The rollouts of one test as curves, from their files."""
+
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from functools import partial
+from pathlib import Path, PurePosixPath
+
+from ....schemas.errors import EvidenceError, PerfboundError, TrajectoryError
+from ....schemas.file.problem_models import Problem
+from ....schemas.result.facts import Header, RolloutFact
+from ....schemas.trajectory.trajectory import File, read_mcap
+from ...run.format import replay_command
+from ...store import files
+from ...store.export_tables import robustness_unit
+from ..data.rollouts import Curve, DrawnRollout, Rollout, RolloutsOfTest
+from . import curves, over_time
+
+MOST_REPLICATES = 3
+"""Replicates with curves, the worst ones."""
+MOST_ROLLOUTS = 24
+"""Rollouts listed for a test."""
+
+
+def of_test(
+    directory: Path,
+    header: Header,
+    problem: Problem,
+    facts: Sequence[RolloutFact],
+    x: tuple[float, ...],
+    *,
+    system: str | None = None,
+    also: Collection[str] = (),
+) -> RolloutsOfTest:
+    """Return the rollouts of one test, whose start is `x`; `error` names the files that cannot be read.
+
+    `system` is the reference of a system that is not installed. Rollouts `also` have curves, whatever their robustness.
+    """
+    columns = curves.relevant_columns(header, problem)
+    others = curves.further_columns(header, columns)
+    further = others[: curves.MOST_FURTHER]
+    limits, tree = curves.limits(header, (*columns, *further)), curves.formula(header)
+    traces, more, drawn, errors = list[Curve](), list[Curve](), list[DrawnRollout](), list[str]()
+    for fact in _with_curves(facts, also):
+        try:
+            trajectory = read_recorded(directory, fact).trajectory
+        except PerfboundError as error:
+            errors.append(str(error))
+        else:
+            label = f"{fact.rollout.variant}, replicate {fact.rollout.replicate}"
+            of_rollout = partial(
+                curves.of_trajectory,
+                header,
+                trajectory=trajectory,
+                label=label,
+                variant=fact.rollout.variant,
+                rollout=str(fact.rollout),
+            )
+            traces += of_rollout(columns)
+            more += of_rollout(further, most=curves.FURTHER_POINTS)
+            drawn.append(over_time.with_margin(fact, trajectory, tree, header.spec.after_end))
+    shown = over_time.shown_formula(tree)
+    return RolloutsOfTest(
+        problem=facts[0].rollout.problem,
+        test=facts[0].rollout.test,
+        traces=tuple(traces),
+        limits=tuple(limit for _, limit in limits),
+        rollouts=tuple(
+            described(fact, x, replay_command(directory, header, str(fact.rollout), system))
+            for fact in _worst_first(facts)[:MOST_ROLLOUTS]
+        ),
+        limit_columns=tuple(column for column, _ in limits),
+        error="; ".join(errors) or None,
+        inputs=tuple(curves.of_signals(header, x)),
+        drawn=tuple(drawn),
+        margin_of=shown[0] if any(each.t for each in drawn) else "",
+        attained=shown[1],
+        margin_unit=robustness_unit(header.config, header.spec),
+        further=tuple(more),
+        further_columns=further,
+        more_columns=len(others) - len(further),
+        x=x,
+    )
+
+
+def described(fact: RolloutFact, x: tuple[float, ...], command: str) -> Rollout:
+    """Return the data of a recorded rollout, whose start is `x`."""
+    return Rollout(
+        id=str(fact.rollout),
+        **fact.rollout._asdict(),
+        seed=fact.seed,
+        x=x,
+        robustness=fact.robustness,
+        path=fact.path if _is_inside(fact.path) else "",
+        command=command,
+    )
+
+
+def read_recorded(directory: Path, fact: RolloutFact) -> File:
+    """Return the file of a recorded rollout.
+
+    Raises:
+        EvidenceError: the file is missing, damaged, or not in the run directory.
+
+    """
+    if not _is_inside(fact.path):
+        raise EvidenceError(
+            f"{directory}: rollout {fact.rollout}: {fact.path!r} is not a path in the run directory; restore the "
+            "database from a copy"
+        )
+    try:
+        return read_mcap(files.read_evidence(directory, fact.path, fact.sha256))
+    except TrajectoryError as error:
+        raise EvidenceError(f"{directory / fact.path}: {error}; restore it from a copy") from None
+
+
+def _is_inside(path: str) -> bool:
+    """Return whether a path of the untrusted database is one in the run directory, and no URL of another kind."""
+    parts = PurePosixPath(path).parts
+    return bool(parts) and parts[0] == files.FOLDER and ".." not in parts
+
+
+def _with_curves(facts: Sequence[RolloutFact], also: Collection[str]) -> Iterator[RolloutFact]:
+    """Yield the worst replicates and those `also` named, each true one after its nominal one."""
+    true = [fact for fact in facts if fact.rollout.variant == "true"]
+    nominal = {fact.rollout.replicate: fact for fact in facts if fact.rollout.variant == "nominal"}
+    yielded = set()
+    for place, fact in enumerate(_worst_first(true or facts)):
+        if place >= MOST_REPLICATES and str(fact.rollout) not in also:
+            continue
+        # A nominal system without noise has one rollout for all replicates.
+        partner = nominal.get(fact.rollout.replicate) or nominal.get(0)
+        if true and partner and partner.rollout not in yielded:
+            yielded.add(partner.rollout)
+            yield partner
+        yield fact
+
+
+def _worst_first(facts: Iterable[RolloutFact]) -> list[RolloutFact]:
+    return sorted(facts, key=lambda fact: (fact.robustness or 0.0, fact.rollout))

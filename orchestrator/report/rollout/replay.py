@@ -1,0 +1,145 @@
+"""The replay of a recorded rollout: simulated in a child of `workers`, compared with its file, and drawn."""
+
+import hashlib
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from ....schemas import atomic
+from ....schemas.errors import PerfboundError, TrajectoryError
+from ....schemas.trajectory.trajectory import Floats, Trajectory, decode
+from ...fleet.children.simulate import simulate_to
+from ...mathematics.stl.over_time import robustness_signal
+from ...mathematics.stl.tree import Formula
+from . import curves
+from .comparison import Deviation, compare, lines
+from .load import RecordedRollout, load_recorded
+
+
+def replay_rollout(
+    directory: Path, rollout: str, *, out: Path | None = None, mcap: Path | None = None, system: str | None = None
+) -> Iterator[str]:
+    """Simulate a rollout of the campaign in `directory` again, and yield the result as lines of text.
+
+    Writes its picture to `out` and its file, with the visual part, to `mcap`. `system` is FILE.py:NAME, for a system in
+    a file.
+
+    Raises:
+        PerfboundError: there is no such rollout, the system is missing or of another version, or the new trajectory
+            differs from the recorded one; in the last case the files are written nevertheless.
+
+    """
+    found = load_recorded(directory, rollout)
+    if found.header.spec.repeated != "anywhere":
+        raise PerfboundError(
+            f"{found.header.spec.name}: its rollouts cannot be simulated again; the recorded file stays"
+        )
+    # As in `verify`: a run directory may be untrusted, and must not name code that runs here.
+    if found.header.config.system.kind != "name" and system is None:
+        raise PerfboundError(f"{found.header.spec.name} is a system in a file: name it with --system")
+    yield _title_line(found)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "again.mcap"
+        data = _resimulated(found, path, system, visual=True)
+        try:
+            again = decode(data)
+        except TrajectoryError as error:
+            raise PerfboundError(f"the system returned no trajectory: {error}; fix the system") from None
+        if found.trajectory is None:
+            yield found.damage
+            fault = _digest_fault(found, data, Path(folder), system)
+            yield fault or "simulated again, the file is bitwise the same as the recorded one"
+        else:
+            deviation = compare(again, found.trajectory)
+            yield from lines(deviation, {column.name: column.unit for column in found.header.spec.columns})
+            fault = _fault(found, deviation)
+        if mcap is not None:
+            atomic.write_whole(mcap.absolute(), data)
+            yield f"file: {mcap}"
+        if out is not None:
+            atomic.write_whole(out.absolute(), _picture(found, again))
+            yield f"picture: {out}"
+    if fault:
+        raise PerfboundError(f"{found.fact.rollout}: {fault}")
+
+
+def _resimulated(found: RecordedRollout, path: Path, system: str | None, *, visual: bool) -> bytes:
+    """Simulate a rollout again and return its file, which is also at `path`."""
+    request = found.request.model_copy(update={"visual": visual})
+    simulate_to(path, request, found.header.spec, system, limit=found.header.config.deadline)
+    return path.read_bytes()
+
+
+def _title_line(found: RecordedRollout) -> str:
+    request, spec = found.request, found.header.spec
+    start = ", ".join(
+        f"{each.name} = {value:g} {each.unit}".removesuffix(" 1")
+        for each, value in zip(spec.parameters, request.x, strict=True)
+    )
+    score = "" if found.fact.robustness is None else f", robustness {found.fact.robustness:.6g}"
+    score += "; its sign may depend on a time stamp close to a border of a window" if found.fact.by_tolerance else ""
+    return f"{found.fact.rollout}: {spec.name}, {request.variant}, {start}, seed {request.seed}{score}"
+
+
+def _digest_fault(found: RecordedRollout, data: bytes, folder: Path, system: str | None) -> str:
+    """Return the fault of a file that replaces a damaged one; empty if it is the same file."""
+    if not found.request.visual:  # the recorded file had no visual part, so it has other bytes than `data`
+        data = _resimulated(found, folder / "exact.mcap", system, visual=False)
+    digest = hashlib.sha256(data).hexdigest()
+    if digest == found.fact.sha256:
+        return ""
+    return f"simulated again, the file has the sha256 {digest[:12]}..., not the recorded {found.fact.sha256[:12]}..."
+
+
+def _fault(found: RecordedRollout, deviation: Deviation) -> str:
+    if deviation.within_tolerance:
+        return ""
+    if deviation.worst is None:
+        return f"simulated again, {deviation.mismatch}"
+    worst = deviation.worst
+    unit = curves.column_unit(found.header, worst.column)
+    return (
+        f"simulated again, {worst.column} differs by up to {worst.largest:.3g} {unit} at t = {worst.at:.3f} s: "
+        "the rollout does not follow from its seed alone, or this machine computes other floating-point results "
+        "than the one that recorded it"
+    )
+
+
+def _picture(found: RecordedRollout, again: Trajectory) -> bytes:
+    """Return the PNG of a rollout."""
+    from . import picture  # noqa: PLC0415  (late: matplotlib takes a second to load)
+
+    header = found.header
+    problems = header.config.problems
+    # A closing check has no columns of its own: those of the first problem.
+    problem = next((each for each in problems if each.name == found.fact.rollout.problem), problems[0])
+    columns = curves.relevant_columns(header, problem) or again.columns[1:2]
+    limits = curves.limits(header, columns)
+    margin = margins(curves.formula(header), again)
+    return picture.drawn(
+        picture.Picture(
+            title=_title_line(found),
+            again=again,
+            recorded=found.trajectory,
+            panels=tuple(
+                picture.Panel(
+                    name, curves.column_unit(header, name), tuple(limit for of, limit in limits if of == name)
+                )
+                for name in columns
+            ),
+            worst=None if margin is None else int(margin.argmin()),
+        )
+    )
+
+
+def margins(tree: Formula | None, trajectory: Trajectory) -> Floats | None:
+    """Return the robustness of the condition at every sample, (T,) in the unit of the predicates; None without one.
+
+    Only `always f` over the whole trajectory, or a conjunction of such, has one; its least value is the robustness.
+    """
+    if tree is None:
+        return None
+    found = robustness_signal(tree, trajectory.columns, trajectory.samples)
+    return found.values if found.attained == "least" and not np.isnan(found.values).any() else None

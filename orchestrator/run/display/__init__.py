@@ -1,0 +1,1 @@
+"""What a run shows while it goes on: a live table, lines, JSON, systemd, and what is known so far."""
