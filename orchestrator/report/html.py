@@ -14,8 +14,8 @@ from importlib import resources
 from typing import NamedTuple
 
 ASSETS = resources.files(__package__) / "page"
-PLOT = "uPlot.iife.min.js"
-INDEX = "index.js"
+PLOT = "vendor/uPlot.iife.min.js"
+INDEX = "index/index.js"
 GLOSSARY = "glossary.json"
 """Word or symbol -> meaning, also for `perfbound explain`; names of one entry are separated by commas."""
 OF_INDEX = ("dom.js", "format.js", INDEX)
@@ -68,10 +68,11 @@ def _page(template: str, title: str, data: str, directive: str) -> Page:
 @cache
 def _template() -> str:
     """Return the template with its styles and scripts; the placeholders of data, title and policy remain."""
-    of_report = (each.name for each in ASSETS.iterdir() if each.name.endswith(".js"))
-    scripts = sorted(name for name in of_report if name not in (PLOT, INDEX))
+    of_report = [f"{folder}{each.name}" for folder in ("", "charts/") for each in (ASSETS / folder).iterdir()]
+    # By their names alone, so that a move between folders changes no page.
+    scripts = sorted((name for name in of_report if name.endswith(".js")), key=lambda name: name.rpartition("/")[2])
     parts = {
-        "UPLOT_CSS": _asset("uPlot.min.css"),
+        "UPLOT_CSS": _asset("vendor/uPlot.min.css"),
         "CSS": _asset("page.css"),
         "UPLOT": _asset(PLOT),
         "PAGE": "\n".join([f"const GLOSSARY = {_asset(GLOSSARY)};", *map(_asset, scripts)]),
@@ -83,8 +84,8 @@ def _template() -> str:
 def _index_template() -> str:
     """Return the template of the index as `_template` does."""
     return _filled(
-        "index.html",
-        {"CSS": _asset("page.css") + _asset("index.css"), "PAGE": "\n".join(map(_asset, OF_INDEX))},
+        "index/index.html",
+        {"CSS": _asset("page.css") + _asset("index/index.css"), "PAGE": "\n".join(map(_asset, OF_INDEX))},
     )
 
 
