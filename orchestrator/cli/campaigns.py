@@ -152,10 +152,11 @@ def resume(
 ) -> None:
     """Continue the campaign in DIRECTORY from its database; print the certificate of a finished one."""
     from ..run import continuation, session  # noqa: PLC0415
+    from ..run.options import RunOptions  # noqa: PLC0415
 
     key, way = signing.load_key(sign) if sign else None, link_of(**link)
     local = continuation.local_workers(directory, workers, way.options, extends=max_tests is not None)
-    options = session.RunOptions(local, way, drain, system)
+    options = RunOptions(local, way, drain, system)
     with resumable(directory, options=options.resume_options):
         resumed = session.resume_campaign(directory, options, STDERR.console, max_tests)
         _finish(directory, key, strict=strict, on_finish=on_finish, report=resumed)
@@ -177,10 +178,11 @@ def _run_new(
     key = signing.load_key(sign) if sign else None
     config = load_campaign(campaign, **overrides)
     from ..run import session  # noqa: PLC0415  (late: a fault of the file is reported before it is loaded)
+    from ..run.options import RunOptions  # noqa: PLC0415
 
     directory = out or Path("runs") / config.name
     at_end = {name: options.pop(name) for name in ("strict", "on_finish")}
-    settings = session.RunOptions(workers, link_of(**options), drain)
+    settings = RunOptions(workers, link_of(**options), drain)
     with resumable(directory, options=settings.resume_options):
         session.start_campaign(config, campaign, directory, settings, STDERR.console)
         _finish(directory, key, **at_end, report=True)

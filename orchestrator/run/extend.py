@@ -13,7 +13,7 @@ from ..campaign.ledger import Ledger
 from ..certificate import files
 from ..store.journal import Journal
 from .continuation import continue_command
-from .session import RunOptions, reopened
+from .options import RunOptions, reopened
 
 
 def give_budget(directory: Path, options: RunOptions, console: Console, max_tests: int) -> None:

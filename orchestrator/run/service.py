@@ -5,10 +5,12 @@ decides is committed in one transaction; only then do messages leave.
 """
 
 import queue
+import signal
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Protocol
 
 from ...schemas.errors import Stopped
@@ -19,12 +21,14 @@ from ..campaign.ledger import Ledger, Work
 from ..fleet.children.processes import Fleet
 from ..fleet.dispatch import events, machine
 from ..fleet.dispatch.choice import out_of_favour
-from ..fleet.dispatch.state import DispatchState, Limits, Worker
+from ..fleet.dispatch.limits import Limits
+from ..fleet.dispatch.state import DispatchState, Worker
 from ..fleet.link.inbox import Inbox
 from ..fleet.link.transport import Garbage, Heartbeat, Inbound, Linked, Result, RouterToken, Token, Transport
 from ..forecast.outlook import PlannedOutlooks
 from ..store.commit_times import CommitTimes
 from ..store.journal import Journal
+from ..store.stop_request import take_request
 from .collision import PoisonedError
 from .decoder import Decoded
 from .doubted_rollouts import Review
@@ -376,3 +380,23 @@ def _shown_phase(state: DispatchState, worker: Worker, now: float) -> str:
 
 def _dispatch_limits(file: CampaignConfig) -> Limits:
     return Limits(hung_after=file.hung_after, deadline=file.deadline, max_attempts=file.max_attempts)
+
+
+class StopRequests:
+    """A listener that examines the run directory at every tick, and hands a request to `put`, the loop's own inbox."""
+
+    def __init__(self, directory: Path, print_line: Callable[[str], None]) -> None:
+        self.put: Callable[[Interrupted], None] | None = None
+        self._directory, self._print_line = directory, print_line
+
+    def print_line(self, line: str) -> None:
+        """Drop the line: another listener prints it."""
+
+    def show(self, status: RunStatus) -> None:  # noqa: ARG002
+        """Take a request, if there is one."""
+        manner = take_request(self._directory)
+        if manner is None or self.put is None:
+            return
+        self._print_line("`perfbound stop` has asked for the end of this run")
+        # As Ctrl-C: a library gets its KeyboardInterrupt, and a command ends with 130.
+        self.put(Interrupted(signal.SIGINT, drain=manner == "drain"))

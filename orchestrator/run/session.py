@@ -8,97 +8,38 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.text import Text
 
-from ...schemas.errors import CampaignError, JournalError, PerfboundError
+from ...schemas.errors import PerfboundError
 from ...schemas.file.config import CampaignConfig
 from ...schemas.link.secret import VARIABLE
-from ...schemas.platforms import ANY, platform_class
 from ...schemas.result.facts import Header
 from ...schemas.rollout import RolloutRequest
 from ...schemas.stop_signals import stop_signals
-from ...schemas.system import SystemSpec
 from ..campaign.checks import check_new
-from ..campaign.software import other_numerics, software
+from ..campaign.software import software
 from ..certificate import files
 from ..fleet.children import child
 from ..fleet.children.processes import Fleet
 from ..fleet.link.transport import Transport
-from ..store import read
 from ..store.journal import Journal, Origin
-from ..store.lock import campaign_lock
 from ..store.rows import existing
 from .collision import COLLISION, PoisonedError, is_collision
-from .directory import check_vacant, claimed, revision
+from .directory import check_vacant, claimed
 from .display.systemd import Systemd, with_a_loop
-from .link import Link
+from .options import RunOptions, check_own, check_platform, check_workers, reopened
 from .page.live_page import LivePage, live_page
 from .report_finished import report_finished
 from .trust import doubted
 
 if TYPE_CHECKING:
     from ..campaign.ledger import Ledger
-
-from ..store import stop_request
-from .service import Interrupted, RunStatus
-
-
-class OwnSystem(Protocol):
-    """A system that no other process can import: its workers are made of this process, and need no network."""
-
-    @property
-    def spec(self) -> SystemSpec:
-        """Its specification."""
-        ...
-
-    def transport(self) -> AbstractContextManager[Transport]:
-        """Open the way to its workers."""
-        ...
-
-    def fleet(self) -> Fleet:
-        """Return the workers, not started yet."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class RunOptions:
-    """Settings of a run; none of them changes the certificate.
-
-    With `drain`, the first signal lets the rollouts under way end; the second one stops at once.
-    """
-
-    workers: int
-    """Local worker processes."""
-    link: Link
-    drain: bool = False
-    system: str | None = None
-    """The system as a worker finds it, its name or FILE.py:NAME; None for the one of the campaign file or database."""
-    own: OwnSystem | None = None
-    """The system where this process alone has it; `workers`, `link` and `system` are then not used."""
-
-    @property
-    def resume_options(self) -> list[str]:
-        """The options with which `perfbound resume` waits for the same workers; none where all are local."""
-        ways = self.link.options
-        return ["--workers", str(self.workers), *ways] if ways else []
-
-    def origin(self, reference: str) -> Origin:
-        """Return what a later resume needs to find the workers, and a system that no name finds.
-
-        Raises:
-            LinkError: an endpoint is malformed, or does not fit the TLS options.
-
-        """
-        options = tuple(replace(self, link=self.link.elsewhere()).resume_options)
-        if not child.in_file(reference):
-            return Origin(options=options)
-        return Origin(reference, revision(Path(reference.rpartition(":")[0] or reference).parent), options)
 
 
 def start_campaign(
@@ -184,22 +125,6 @@ def created(directory: Path, header: Header, origin: Origin) -> Iterator[Journal
         yield new
 
 
-@contextmanager
-def reopened(directory: Path, options: RunOptions) -> Iterator[tuple[Journal, str]]:
-    """Lock a run directory and open its journal, with the system as a worker finds it.
-
-    Raises:
-        PerfboundError: there is no campaign, it is running, or its software or its system is another one.
-
-    """
-    with campaign_lock(directory) as held:
-        reference = child.resolved(options.system or read.system_reference(directory))
-        with closing(Journal.open(directory, options.origin(reference), held)) as journal:
-            _check_software(journal.header)
-            _check_code(journal.header, reference, options)
-            yield journal, reference
-
-
 def _transport(options: RunOptions, console: Console) -> AbstractContextManager[Transport]:
     if options.own:
         return options.own.transport()
@@ -212,77 +137,6 @@ def _shared(options: RunOptions) -> dict[str, str]:
     """Return the environment with which local workers know the secret; other processes of this user see no value."""
     secret = options.link.secret()
     return {} if secret is None else {VARIABLE: secret.decode()}
-
-
-def check_workers(spec: SystemSpec, own: OwnSystem | None, place: Path) -> None:
-    """Refuse a system that no worker can have."""
-    if spec.repeated == "nowhere":
-        raise CampaignError(
-            f"{place}: no simulator makes the rollouts of {spec.name}; hand them in: Campaign.ask_tell, or "
-            f"perfbound.open({str(place)!r}).ask_tell() for a campaign that has begun"
-        )
-    if spec.repeated == "session" and own is None:
-        raise CampaignError(
-            f"{place}: {spec.name} was defined in an interactive session, so no worker can import it; continue there: "
-            f"perfbound.resume({str(place)!r}, system={spec.name.replace('-', '_')})"
-        )
-
-
-def _check_software(header: Header) -> None:
-    for name, then, now in other_numerics(header.software, header.spec):
-        raise JournalError(
-            f"this campaign was started with {name} {then}, here is {now or 'none'}; resume it with the versions it "
-            "was started with, or start a new campaign"
-        )
-
-
-def check_platform(platform: str, place: Path) -> None:
-    """Refuse local workers of a campaign for machines of another class.
-
-    Raises:
-        JournalError: this machine is of another class.
-
-    """
-    if platform not in (ANY, here := platform_class()):
-        raise JournalError(
-            f"{place}: this campaign is for the platform {platform}, this machine is {here}; run it there, or with "
-            "--workers 0 and workers of that platform"
-        )
-
-
-def check_own(header: Header, spec: SystemSpec) -> None:
-    """Refuse another system of this process than the campaign's.
-
-    Raises:
-        JournalError: it is another one.
-
-    """
-    if spec.digest != header.system_sha256:
-        others = "; ".join(header.spec.differences(spec))
-        raise JournalError(
-            f"{spec.name}: not the function with which this campaign was started ({others}); give that one, or start a "
-            "new campaign"
-        )
-
-
-def _check_code(header: Header, reference: str, options: RunOptions) -> None:
-    """Refuse a system with other sources than those of the campaign."""
-    campaign, installed = header.spec, header.config.system.kind == "name"
-    if campaign.repeated != "anywhere":  # no process but one has it, and nothing here could be compared
-        return
-    if child.in_file(reference) == installed:
-        wanted = f"is installed: {campaign.name}" if installed else "is in a file: give FILE.py:NAME or CAMPAIGN.toml"
-        raise JournalError(f"--system {reference}: the system of this campaign {wanted}")
-    if installed and not options.workers:
-        return  # the workers have it, and are compared when they arrive
-    found = child.system_spec(reference, "--system")
-    if found.digest != header.system_sha256:
-        others = "; ".join(campaign.differences(found))
-        remedy = "with the version of then" if installed else "with the files of then (--system, if they are elsewhere)"
-        raise JournalError(
-            f"{reference}: not the system with which this campaign was started: {others}; resume it {remedy}, or start "
-            "a new campaign"
-        )
 
 
 def _conduct(
@@ -345,7 +199,7 @@ def _served(
         from ..campaign.ledger import Ledger  # noqa: PLC0415
         from .display.progress import SystemdStatus, listener  # noqa: PLC0415
         from .display.so_far import Contradictions, SoFarListener  # noqa: PLC0415
-        from .service import Interrupted, Service  # noqa: PLC0415
+        from .service import Interrupted, Service, StopRequests  # noqa: PLC0415
 
         ledger = Ledger(directory, journal)
         ledger.replay()
@@ -429,23 +283,3 @@ def _signals(put: Callable[[int], None]) -> Iterator[None]:
     finally:
         for number, old in before.items():
             signal.signal(number, signal.SIG_IGN if taken else old)
-
-
-class StopRequests:
-    """A listener that examines the run directory at every tick, and hands a request to `put`, the loop's own inbox."""
-
-    def __init__(self, directory: Path, print_line: Callable[[str], None]) -> None:
-        self.put: Callable[[Interrupted], None] | None = None
-        self._directory, self._print_line = directory, print_line
-
-    def print_line(self, line: str) -> None:
-        """Drop the line: another listener prints it."""
-
-    def show(self, status: RunStatus) -> None:  # noqa: ARG002
-        """Take a request, if there is one."""
-        manner = stop_request.take_request(self._directory)
-        if manner is None or self.put is None:
-            return
-        self._print_line("`perfbound stop` has asked for the end of this run")
-        # As Ctrl-C: a library gets its KeyboardInterrupt, and a command ends with 130.
-        self.put(Interrupted(signal.SIGINT, drain=manner == "drain"))

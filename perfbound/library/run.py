@@ -16,6 +16,7 @@ from ..orchestrator.certificate.words import console_lines, text
 from ..orchestrator.run import directory as places
 from ..orchestrator.run import session
 from ..orchestrator.run.link import Link
+from ..orchestrator.run.options import RunOptions, check_workers
 from ..orchestrator.run.verdict import verdict_of
 from ..orchestrator.store import export, read
 from ..orchestrator.store.export_tables import robustness_unit
@@ -263,7 +264,7 @@ def run_campaign(
 ) -> Run:
     """Run a new campaign; see `Campaign.run`."""
     own = Forked(system.here, system.spec) if system.here is not None else None
-    session.check_workers(system.spec, own, directory)
+    check_workers(system.spec, own, directory)
     if (directory / DATABASE).exists():
         found = places.stored_differently(directory, config)
         differing = f"another campaign is here ({found})" if found else "this campaign is here already"
@@ -285,10 +286,10 @@ def _write_page(directory: Path, console: Console) -> None:
         console.print(line, markup=False)
 
 
-def _run_options(workers: int, reference: str | None, own: Forked | None) -> session.RunOptions:
+def _run_options(workers: int, reference: str | None, own: Forked | None) -> RunOptions:
     if not 1 <= workers <= MOST_WORKERS:
         raise PerfboundError(f"workers: {workers} is not allowed: allowed is a whole number from 1 to {MOST_WORKERS}")
-    return session.RunOptions(workers, Link(LOCAL), system=reference, own=own)
+    return RunOptions(workers, Link(LOCAL), system=reference, own=own)
 
 
 def robustness(specification: str, trajectory: Trajectory | dict[str, Sequence[float]]) -> float:

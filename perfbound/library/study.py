@@ -24,6 +24,7 @@ from ..orchestrator.run import session
 from ..orchestrator.run.certify import certify
 from ..orchestrator.run.directory import stored_differently
 from ..orchestrator.run.link import Link
+from ..orchestrator.run.options import RunOptions, check_own, reopened
 from ..orchestrator.store import read
 from ..orchestrator.store.journal import Journal
 from ..orchestrator.store.rows import DATABASE
@@ -43,7 +44,7 @@ from .run import Run
 from .system_argument import GivenSystem
 
 SILENT = Console(quiet=True)
-_BY_HAND = session.RunOptions(0, Link(LOCAL))
+_BY_HAND = RunOptions(0, Link(LOCAL))
 """Of sessions without workers."""
 TOLD_BY = "told"
 """The worker of a rollout that was handed in."""
@@ -348,10 +349,10 @@ def open_study(directory: Path, config: CampaignConfig | None = None, system: Gi
                 raise PerfboundError(f"{directory}: another campaign is here ({found}); choose another `out`")
             # No worker: of an installed system nothing is compared: the caller has it.
             options = replace(_BY_HAND, system=system.reference if system else None)
-            journal, _ = stack.enter_context(session.reopened(directory, options))
+            journal, _ = stack.enter_context(reopened(directory, options))
             _check_opinions(journal.header.config)
             if system is not None and system.spec.repeated != "anywhere":
-                session.check_own(journal.header, system.spec)
+                check_own(journal.header, system.spec)
         else:
             _check_opinions(config)
             header = Header.new(config, system.spec, software(system.spec))

@@ -23,7 +23,7 @@ from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.campaign.software import software
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.issue import issue, manifest
-from perfbound.orchestrator.fleet.dispatch.state import Limits
+from perfbound.orchestrator.fleet.dispatch.limits import Limits
 from perfbound.orchestrator.fleet.link.transport import Heartbeat, Inbound, Result, Sink, Token, garbage
 from perfbound.orchestrator.run import outbox, service
 from perfbound.orchestrator.run.service import Interrupted, RunStatus, Service

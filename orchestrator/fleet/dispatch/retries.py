@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from ....schemas.failure import Failure
 from ....schemas.ids import Attempt
 from .events import Fail, Opinion
-from .state import Limits
+from .limits import Limits
 
 ELSEWHERE, SAME_HOST, SAME_WORKER = range(3)
 """Ranks of the workers for a retry."""

@@ -27,7 +27,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 from ....schemas.ids import Attempt
-from .state import Limits
+from .limits import Limits
 
 LONG_AGO = float("-inf")
 FOR_GOOD = float("inf")

@@ -10,7 +10,8 @@ from ....schemas.file.space import SystemChoice
 from ....schemas.file.toml_text import toml_comment, toml_key, toml_quoted, toml_value
 from ....schemas.system import Option, Parameter, SystemSpec
 from .constants import FirstValues
-from .questions import EXACT, NOISY, FirstSize, Question
+from .questions import Question
+from .size import EXACT, NOISY, FirstSize
 
 FORMULAS = "docs/stl.md has the grammar: always, eventually, until, and, or, not, implies, abs()."
 MOST_KEYS = 12

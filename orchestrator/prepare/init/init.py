@@ -27,7 +27,8 @@ from . import constants as pilot
 from .constants import Constants, FirstValues
 from .file import FirstCampaign
 from .pilot import SECONDS, Pilot, PilotError, PilotPlan, run_pilot
-from .questions import QUESTIONS, first_samples, first_size, unknown_question
+from .questions import QUESTIONS, unknown_question
+from .size import first_samples, first_size
 
 REACH = 2.0
 """`alpha` is at least so many times what the tests could reach if all were at one start."""

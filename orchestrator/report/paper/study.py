@@ -19,6 +19,7 @@ from ...run import session
 from ...run.directory import stored_differently
 from ...run.format import duration
 from ...run.link import Link
+from ...run.options import RunOptions
 from ...store.rows import DATABASE
 
 SHIPPED = Path(str(resources.files("perfbound") / "campaigns"))
@@ -161,7 +162,7 @@ def time_left(done: Sequence[tuple[float, float]], costs: Iterable[float]) -> fl
 
 
 def _run_or_resume(campaign: Planned, workers: int) -> None:
-    options, console = session.RunOptions(workers, Link(LOCAL)), Console(quiet=True, force_terminal=False)
+    options, console = RunOptions(workers, Link(LOCAL)), Console(quiet=True, force_terminal=False)
     directory = campaign.directory
     if (directory / DATABASE).exists():  # interrupted: its facts stay, so its certificate is that of a calm run
         session.resume_campaign(directory, options, console)

@@ -10,7 +10,8 @@ import pytest
 from perfbound.orchestrator.campaign import state as campaign
 from perfbound.orchestrator.campaign.state import Plan
 from perfbound.orchestrator.fleet.dispatch import events, machine
-from perfbound.orchestrator.fleet.dispatch.state import DispatchState, Limits
+from perfbound.orchestrator.fleet.dispatch.limits import Limits
+from perfbound.orchestrator.fleet.dispatch.state import DispatchState
 from perfbound.schemas.errors import IllegalEvent
 from perfbound.schemas.failure import Failure
 from perfbound.schemas.ids import Attempt, RolloutId

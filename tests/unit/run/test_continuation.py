@@ -19,7 +19,7 @@ from perfbound.orchestrator.report.write import relocatable
 from perfbound.orchestrator.run import session
 from perfbound.orchestrator.run.continuation import command_with, continue_command, local_workers
 from perfbound.orchestrator.run.link import Link
-from perfbound.orchestrator.run.session import RunOptions
+from perfbound.orchestrator.run.options import RunOptions
 from perfbound.orchestrator.store.journal import INSTALLED, Journal, Origin
 from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas.errors import LinkError, PerfboundError

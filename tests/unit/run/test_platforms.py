@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from perfbound.orchestrator.run.session import check_platform
+from perfbound.orchestrator.run.options import check_platform
 from perfbound.orchestrator.store import journal as module
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.rows import DATABASE

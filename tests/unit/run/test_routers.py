@@ -4,7 +4,8 @@ import time
 from dataclasses import replace
 
 from perfbound.orchestrator.fleet.dispatch.events import LinkChanged, RouterChanged
-from perfbound.orchestrator.fleet.dispatch.state import DispatchState, Limits, Worker
+from perfbound.orchestrator.fleet.dispatch.limits import Limits
+from perfbound.orchestrator.fleet.dispatch.state import DispatchState, Worker
 from perfbound.orchestrator.fleet.link.transport import Linked, RouterToken
 from perfbound.orchestrator.run.display.progress import worker_line
 from perfbound.orchestrator.run.routers import RouterLink, Routers

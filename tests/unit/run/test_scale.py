@@ -17,7 +17,8 @@ import sqlalchemy as sa
 from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.fleet.dispatch import events, machine
 from perfbound.orchestrator.fleet.dispatch.events import HandOut, Reported, Start, Wanted, WorkerUp
-from perfbound.orchestrator.fleet.dispatch.state import DispatchState, Limits
+from perfbound.orchestrator.fleet.dispatch.limits import Limits
+from perfbound.orchestrator.fleet.dispatch.state import DispatchState
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.changes import ChangeReader

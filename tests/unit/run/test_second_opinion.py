@@ -18,7 +18,7 @@ from perfbound.orchestrator.campaign.seeds import is_chosen
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.assumptions.opinions import MOST_NAMED
 from perfbound.orchestrator.certificate.verify.run import verify_certificate
-from perfbound.orchestrator.fleet.dispatch.state import Limits
+from perfbound.orchestrator.fleet.dispatch.limits import Limits
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.rows import DATABASE

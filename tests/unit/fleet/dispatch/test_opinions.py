@@ -25,8 +25,9 @@ from perfbound.orchestrator.fleet.dispatch.events import (
     Wanted,
     WorkerUp,
 )
+from perfbound.orchestrator.fleet.dispatch.limits import Limits
 from perfbound.orchestrator.fleet.dispatch.opinions import UNLIKE, without
-from perfbound.orchestrator.fleet.dispatch.state import DispatchState, Limits
+from perfbound.orchestrator.fleet.dispatch.state import DispatchState
 from perfbound.schemas.failure import Failure
 from perfbound.schemas.ids import Attempt, RolloutId
 from tests.fakes.fleets import Behaviour, Fleet, Member

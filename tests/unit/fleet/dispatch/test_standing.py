@@ -20,9 +20,10 @@ from perfbound.orchestrator.fleet.dispatch.events import (
     Wanted,
     WorkerUp,
 )
+from perfbound.orchestrator.fleet.dispatch.limits import Limits
 from perfbound.orchestrator.fleet.dispatch.retries import missed
 from perfbound.orchestrator.fleet.dispatch.standing import Place, Standings, count_failure, last_failure, set_aside
-from perfbound.orchestrator.fleet.dispatch.state import DispatchState, Limits
+from perfbound.orchestrator.fleet.dispatch.state import DispatchState
 from perfbound.schemas.failure import Failure
 from perfbound.schemas.ids import Attempt, RolloutId
 from tests.fakes.fleets import Behaviour, Fleet, Member

@@ -30,8 +30,9 @@ from perfbound.orchestrator.fleet.dispatch.events import (
     WorkerDown,
     WorkerUp,
 )
+from perfbound.orchestrator.fleet.dispatch.limits import Limits
 from perfbound.orchestrator.fleet.dispatch.opinions import without
-from perfbound.orchestrator.fleet.dispatch.state import DispatchState, Limits
+from perfbound.orchestrator.fleet.dispatch.state import DispatchState
 from perfbound.schemas.failure import Failure
 from perfbound.schemas.ids import Attempt, RolloutId
 from tests.fakes.fleets import Fleet, Member

@@ -14,18 +14,8 @@ from perfbound.orchestrator.forecast.remaining import warnings
 from perfbound.orchestrator.prepare.init.constants import NU, Constants, FirstValues
 from perfbound.orchestrator.prepare.init.file import MOST_KEYS, FirstCampaign, key_lines
 from perfbound.orchestrator.prepare.init.init import _reachable
-from perfbound.orchestrator.prepare.init.questions import (
-    EXACT,
-    MOST_SAMPLES,
-    NOISY,
-    QUESTIONS,
-    FirstSize,
-    docs_table,
-    first_samples,
-    first_size,
-    question_help,
-    unknown_question,
-)
+from perfbound.orchestrator.prepare.init.questions import QUESTIONS, docs_table, question_help, unknown_question
+from perfbound.orchestrator.prepare.init.size import EXACT, MOST_SAMPLES, NOISY, FirstSize, first_samples, first_size
 from perfbound.schemas.file.objectives import ProblemName
 from perfbound.schemas.file.problem_models import RigorousProblem
 from perfbound.schemas.file.reader import parse_campaign

@@ -7,7 +7,7 @@ import pytest
 
 from perfbound.orchestrator.cli.link_options import link_of, link_options
 from perfbound.orchestrator.run.link import Link
-from perfbound.orchestrator.run.session import RunOptions
+from perfbound.orchestrator.run.options import RunOptions
 from perfbound.schemas.link.configuration import LOCAL, Tls
 
 TLS = Tls(ca="ca.pem", certificate="main.pem", key="main-key.pem")

@@ -1,0 +1,62 @@
+"""The size of a first campaign: as large as it may be to run for about a minute."""
+
+from dataclasses import dataclass
+
+SECONDS, WORKERS = 60.0, 2
+"""Duration of a first campaign, and the local workers of `perfbound run`."""
+LEAST_COST = 0.005
+"""Seconds that any rollout costs, with its file and its place in the database."""
+FEWEST_TESTS, FEWEST_STARTS = 20, 20
+RECHECK = 20
+PER_SECOND = 120.0
+"""Rollouts that the orchestrator records, whatever the workers can do."""
+FEWEST_SAMPLES, MOST_SAMPLES = 59, 2995
+"""Samples without a violation that show at most 5 % and .1 %, at 95 %."""
+
+
+@dataclass(frozen=True, slots=True)
+class FirstSize:
+    """How many rollouts a first campaign has."""
+
+    max_tests: int
+    replicates: int
+    """Of each test whose rollouts depend on the seed."""
+    spot_check: int = 299
+    recheck: int = RECHECK
+
+    def rollouts(self, variants: int) -> int:
+        """Return the largest number of rollouts, with `variants` rollouts for each replicate of a test."""
+        return self.max_tests * self.replicates * variants + self.spot_check * variants + self.recheck
+
+
+NOISY, EXACT = FirstSize(60, 8), FirstSize(100, 1)
+"""Of campaigns whose rollouts cost little."""
+
+
+def first_size(cost: float | None, *, noisy: bool, variants: int) -> FirstSize:
+    """Return the size for rollouts that take `cost` seconds each; None if that is not known.
+
+    >>> first_size(0.001, noisy=True, variants=1) == NOISY
+    True
+    >>> first_size(0.5, noisy=True, variants=1)
+    FirstSize(max_tests=110, replicates=1, spot_check=110, recheck=20)
+    """
+    full = NOISY if noisy else EXACT
+    affordable = SECONDS * WORKERS / max(cost or 0.0, LEAST_COST)
+    if affordable >= full.rollouts(variants):
+        return full
+    # Where rollouts are dear, another start shows more than another rollout at the same one.
+    half = int((affordable - full.recheck) / 2) // variants
+    tests = max(FEWEST_TESTS, min(full.max_tests * full.replicates, half))
+    return FirstSize(tests, 1, max(FEWEST_STARTS, min(full.spot_check, half)))
+
+
+def first_samples(cost: float | None) -> FirstSize:
+    """Return the size of a campaign of drawn starts, of two digits, for rollouts that take `cost` seconds each.
+
+    >>> [first_samples(cost).max_tests for cost in (0.001, 0.07, 0.5, 5.0)]
+    [2995, 1700, 220, 59]
+    """
+    rate = min(PER_SECOND, WORKERS / max(cost or 0.0, LEAST_COST))
+    affordable = float(f"{max(SECONDS * rate - RECHECK, 0.0):.2g}")
+    return FirstSize(int(min(max(affordable, FEWEST_SAMPLES), MOST_SAMPLES)), 1)
