@@ -1,128 +1,103 @@
 """The text of a first campaign file: at most twelve lines of keys, each with its meaning in a comment."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 
 from ....schemas.errors import one_line
-from ....schemas.file.objectives import ProblemName
 from ....schemas.file.signals import SignalShape
-from ....schemas.file.space import SystemChoice
 from ....schemas.file.toml_text import toml_comment, toml_key, toml_quoted, toml_value
-from ....schemas.system import Option, Parameter, SystemSpec
-from .constants import FirstValues
-from .questions import Question
-from .size import EXACT, NOISY, FirstSize
+from ....schemas.system import Option, Parameter
+from .questions import FirstCampaign
 
 FORMULAS = "docs/stl.md has the grammar: always, eventually, until, and, or, not, implies, abs()."
 MOST_KEYS = 12
 """Lines of a file for one simulator that are neither comment nor blank."""
 
 
-@dataclass(frozen=True, slots=True)
-class FirstCampaign:
-    """The content of a first campaign file."""
+def campaign_text(campaign: FirstCampaign) -> str:
+    """Return the file, with system and space on one line each where it would be too long otherwise."""
+    forms = ((False, False), (False, True), (True, True))
+    texts = ["\n".join(_lines(campaign, system, space)) + "\n" for system, space in forms]
+    return next((text for text in texts if key_lines(text) <= MOST_KEYS), texts[-1])
 
-    spec: SystemSpec
-    system: SystemChoice
-    command: str
-    """`perfbound init` with the system and the question."""
-    question: Question
-    basis: FirstValues
-    lengths: dict[str, float]
-    """Length scale of each parameter."""
-    candidates: int | None
-    """Fixed starts, where no lattice covers the box."""
-    size: FirstSize
-    noisy: frozenset[ProblemName]
-    """Problems whose rollouts depend on the seed."""
-    cost: float | None = None
-    """Seconds of a rollout, if known."""
 
-    @property
-    def full_size(self) -> FirstSize:
-        """The size where rollouts cost little."""
-        return NOISY if self.noisy else EXACT
+def _lines(campaign: FirstCampaign, inline_system: bool, inline_space: bool) -> Iterator[str]:
+    yield from _head(campaign)
+    yield from campaign.question.keys(campaign)
+    yield ""
+    yield from _system(campaign, inline_system)
+    yield ""
+    yield from _space(campaign, inline_space)
+    yield from campaign.question.ending(campaign)
 
-    def text(self) -> str:
-        """Return the file, with system and space on one line each where it would be too long otherwise."""
-        forms = ((False, False), (False, True), (True, True))
-        texts = ["\n".join(self._lines(system, space)) + "\n" for system, space in forms]
-        return next((text for text in texts if key_lines(text) <= MOST_KEYS), texts[-1])
 
-    def _lines(self, inline_system: bool, inline_space: bool) -> Iterator[str]:
-        yield from self._head()
-        yield from self.question.keys(self)
-        yield ""
-        yield from self._system(inline_system)
-        yield ""
-        yield from self._space(inline_space)
-        yield from self.question.ending(self)
-
-    def _head(self) -> Iterator[str]:
-        spec, basis = self.spec, self.basis
-        yield from toml_comment(f"{spec.name}: {spec.doc}" if spec.doc else spec.name)
-        yield from toml_comment(f"{self.question.words} Written by `perfbound init`. {basis.source}")
-        yield ""
-        if basis.horizon:
-            own = (
-                "the default of the system"
-                if basis.horizon == spec.default_horizon
-                else "choose it as long as your question needs"
-            )
-            yield f"# Duration of a rollout in s: {own}."
-            yield f"horizon = {basis.horizon!r}"
-        columns = ", ".join(f"{each.name} ({each.unit})" if each.unit else each.name for each in spec.columns)
-        yield from toml_comment(f"Columns of a rollout: {columns}.")
-        yield from toml_comment(f"{basis.about} {FORMULAS}".strip())
-        if not self.question.drawn:
-            yield "# For another formula, propose the constants anew and write them to another file:"
-            yield f'#   {one_line(self.command)} --specification "..." --out FILE'
-        yield f"specification = {toml_quoted(basis.specification)}"
-        if self.candidates is not None:
-            yield from toml_comment(
-                "With so many parameters the claim is about the worst of this many fixed starts, spread over the "
-                "ranges, and about no start between them. This is the number without this key:"
-            )
-            yield f"# candidates = {self.candidates}"
-        yield from toml_comment(
-            "For workers on several machines: this share of the rollouts is simulated by two of them, and counts if "
-            "both agree, so that a machine that computes wrongly is found. It costs as many rollouts more."
+def _head(campaign: FirstCampaign) -> Iterator[str]:
+    spec, basis = campaign.spec, campaign.basis
+    yield from toml_comment(f"{spec.name}: {spec.doc}" if spec.doc else spec.name)
+    yield from toml_comment(f"{campaign.question.words} Written by `perfbound init`. {basis.source}")
+    yield ""
+    if basis.horizon:
+        own = (
+            "the default of the system"
+            if basis.horizon == spec.default_horizon
+            else "choose it as long as your question needs"
         )
-        yield "# second_opinion = 0.02"
-
-    def _system(self, inline: bool) -> Iterator[str]:
-        chosen = self.system.model_dump(mode="json", exclude_none=True)
-        yield from _table_lines("system", chosen.items(), inline)
-        yield from (_option_line(option) for option in self.spec.options if option.name not in chosen)
-
-    def _space(self, inline: bool) -> Iterator[str]:
-        parameters, shapes = self.spec.declared.parameters, {each.name: each for each in self.spec.signals}
-        units = ", ".join(f"{each.name} in {each.unit}" for each in parameters if each.unit)
-        where = f": {units}" if units else ""
-        yield from toml_comment(f"All starting conditions of the claim, here the whole range of the system{where}.")
-        for each in shapes.values():
-            yield from toml_comment(f"{each.name} is an input over time through {each.knots} knots over the horizon.")
-        # A program has the units that its file gives; any other system knows its own.
-        entries = {
-            each.name: _range_value(each, shapes.get(each.name), unit=self.system.kind == "program")
-            for each in parameters
-        }
-        yield from _table_lines("space", entries.items(), inline)
-        fixed = [each for each in parameters if each.name not in shapes]
-        if self.question.drawn and fixed:
-            yield from self._distribution(fixed[-1], inline)
-
-    def _distribution(self, example: Parameter, inline: bool) -> Iterator[str]:
-        """Yield one commented range with a distribution."""
-        low, high = example.low, example.high
-        middle = float(f"{low + (high - low) / 2:.3g}")
-        sd = float(f"{(high - low) / 6:.2g}")
-        normal = {"low": low, "high": high, "distribution": "normal", "mean": middle, "sd": sd}
+        yield f"# Duration of a rollout in s: {own}."
+        yield f"horizon = {basis.horizon!r}"
+    columns = ", ".join(f"{each.name} ({each.unit})" if each.unit else each.name for each in spec.columns)
+    yield from toml_comment(f"Columns of a rollout: {columns}.")
+    yield from toml_comment(f"{basis.about} {FORMULAS}".strip())
+    if not campaign.question.drawn:
+        yield "# For another formula, propose the constants anew and write them to another file:"
+        yield f'#   {one_line(campaign.command)} --specification "..." --out FILE'
+    yield f"specification = {toml_quoted(basis.specification)}"
+    if campaign.candidates is not None:
         yield from toml_comment(
-            "Starts are drawn evenly from these ranges, and the claim is about this distribution. Give every range the "
-            "one that operation has, for example:"
+            "With so many parameters the claim is about the worst of this many fixed starts, spread over the "
+            "ranges, and about no start between them. This is the number without this key:"
         )
-        yield f"# {'' if inline else 'space.'}{toml_key(example.name)} = {toml_value(normal)}"
+        yield f"# candidates = {campaign.candidates}"
+    yield from toml_comment(
+        "For workers on several machines: this share of the rollouts is simulated by two of them, and counts if "
+        "both agree, so that a machine that computes wrongly is found. It costs as many rollouts more."
+    )
+    yield "# second_opinion = 0.02"
+
+
+def _system(campaign: FirstCampaign, inline: bool) -> Iterator[str]:
+    chosen = campaign.system.model_dump(mode="json", exclude_none=True)
+    yield from _table_lines("system", chosen.items(), inline)
+    yield from (_option_line(option) for option in campaign.spec.options if option.name not in chosen)
+
+
+def _space(campaign: FirstCampaign, inline: bool) -> Iterator[str]:
+    parameters, shapes = campaign.spec.declared.parameters, {each.name: each for each in campaign.spec.signals}
+    units = ", ".join(f"{each.name} in {each.unit}" for each in parameters if each.unit)
+    where = f": {units}" if units else ""
+    yield from toml_comment(f"All starting conditions of the claim, here the whole range of the system{where}.")
+    for each in shapes.values():
+        yield from toml_comment(f"{each.name} is an input over time through {each.knots} knots over the horizon.")
+    # A program has the units that its file gives; any other system knows its own.
+    entries = {
+        each.name: _range_value(each, shapes.get(each.name), unit=campaign.system.kind == "program")
+        for each in parameters
+    }
+    yield from _table_lines("space", entries.items(), inline)
+    fixed = [each for each in parameters if each.name not in shapes]
+    if campaign.question.drawn and fixed:
+        yield from _distribution(fixed[-1], inline)
+
+
+def _distribution(example: Parameter, inline: bool) -> Iterator[str]:
+    """Yield one commented range with a distribution."""
+    low, high = example.low, example.high
+    middle = float(f"{low + (high - low) / 2:.3g}")
+    sd = float(f"{(high - low) / 6:.2g}")
+    normal = {"low": low, "high": high, "distribution": "normal", "mean": middle, "sd": sd}
+    yield from toml_comment(
+        "Starts are drawn evenly from these ranges, and the claim is about this distribution. Give every range the "
+        "one that operation has, for example:"
+    )
+    yield f"# {'' if inline else 'space.'}{toml_key(example.name)} = {toml_value(normal)}"
 
 
 def key_lines(text: str) -> int:

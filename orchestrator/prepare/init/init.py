@@ -25,9 +25,9 @@ from ...forecast.remaining import least_distance
 from ..check_system.files import to_declare
 from . import constants as pilot
 from .constants import Constants, FirstValues
-from .file import FirstCampaign
+from .file import campaign_text
 from .pilot import SECONDS, Pilot, PilotError, PilotPlan, run_pilot
-from .questions import QUESTIONS, unknown_question
+from .questions import QUESTIONS, FirstCampaign, unknown_question
 from .size import first_samples, first_size
 
 REACH = 2.0
@@ -99,7 +99,7 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
             "choose --question worst"
         )
     campaign = _reachable(_first_campaign(wish, spec, choice, basis, cost))
-    text = campaign.text()
+    text = campaign_text(campaign)
     check_new(parse_campaign(text.encode(), str(out)), spec, str(out))
     try:
         atomic.write_new({out.absolute(): (text.encode(), 0o666)})
@@ -212,7 +212,7 @@ def _reachable(campaign: FirstCampaign) -> FirstCampaign:
     """Return the campaign with an `alpha` for each problem that its tests can reach."""
     if campaign.question.drawn:
         return campaign
-    plans = plan.plans(parse_campaign(campaign.text().encode(), "campaign.toml"), campaign.spec)
+    plans = plan.plans(parse_campaign(campaign_text(campaign).encode(), "campaign.toml"), campaign.spec)
     constants = {
         name: replace(each, alpha=max(each.alpha, pilot.rounded_up(REACH * least_distance(plans[name]))))
         for name, each in campaign.basis.constants.items()

@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING
 
 from ....schemas.errors import meant
 from ....schemas.file.toml_text import toml_comment, toml_value
+from .size import EXACT, NOISY, FirstSize
 
 if TYPE_CHECKING:
     from ....schemas.file.objectives import ProblemName
-    from .constants import Constants
-    from .file import FirstCampaign
+    from ....schemas.file.space import SystemChoice
+    from ....schemas.system import SystemSpec
+    from .constants import Constants, FirstValues
 
 Lines = Callable[["FirstCampaign"], Iterator[str]]
 
@@ -51,6 +53,32 @@ class Question:
         if not self.drawn:
             return "the constants are"
         return "the clip and the number of samples are" if self.clip else "the number of samples is"
+
+
+@dataclass(frozen=True, slots=True)
+class FirstCampaign:
+    """The content of a first campaign file."""
+
+    spec: "SystemSpec"
+    system: "SystemChoice"
+    command: str
+    """`perfbound init` with the system and the question."""
+    question: Question
+    basis: "FirstValues"
+    lengths: dict[str, float]
+    """Length scale of each parameter."""
+    candidates: int | None
+    """Fixed starts, where no lattice covers the box."""
+    size: FirstSize
+    noisy: "frozenset[ProblemName]"
+    """Problems whose rollouts depend on the seed."""
+    cost: float | None = None
+    """Seconds of a rollout, if known."""
+
+    @property
+    def full_size(self) -> FirstSize:
+        """The size where rollouts cost little."""
+        return NOISY if self.noisy else EXACT
 
 
 def _clip_lines(campaign: "FirstCampaign") -> Iterator[str]:

@@ -12,9 +12,15 @@ from perfbound.orchestrator.campaign.checks import check
 from perfbound.orchestrator.campaign.plan import plans
 from perfbound.orchestrator.forecast.remaining import warnings
 from perfbound.orchestrator.prepare.init.constants import NU, Constants, FirstValues
-from perfbound.orchestrator.prepare.init.file import MOST_KEYS, FirstCampaign, key_lines
+from perfbound.orchestrator.prepare.init.file import MOST_KEYS, campaign_text, key_lines
 from perfbound.orchestrator.prepare.init.init import _reachable
-from perfbound.orchestrator.prepare.init.questions import QUESTIONS, docs_table, question_help, unknown_question
+from perfbound.orchestrator.prepare.init.questions import (
+    QUESTIONS,
+    FirstCampaign,
+    docs_table,
+    question_help,
+    unknown_question,
+)
 from perfbound.orchestrator.prepare.init.size import EXACT, MOST_SAMPLES, NOISY, FirstSize, first_samples, first_size
 from perfbound.schemas.file.objectives import ProblemName
 from perfbound.schemas.file.problem_models import RigorousProblem
@@ -55,7 +61,7 @@ def campaign(*, horizon: float = 8.0, **constants: Constants) -> FirstCampaign:
 
 
 def test_a_file_is_the_campaign_that_it_was_made_of() -> None:
-    text = campaign(robustness=Constants(-2.0, 17.0, 0.34, 0.1)).text()
+    text = campaign_text(campaign(robustness=Constants(-2.0, 17.0, 0.34, 0.1)))
     config = parse_campaign(text.encode(), "robot.toml")
     check(config, SPEC, "robot.toml")
     (problem,) = config.problems
@@ -74,7 +80,7 @@ def test_a_file_is_the_campaign_that_it_was_made_of() -> None:
 
 
 def test_every_line_is_printable_and_short() -> None:
-    for line in campaign(robustness=Constants(-2.0, 17.0, "derived", 0.1)).text().splitlines():
+    for line in campaign_text(campaign(robustness=Constants(-2.0, 17.0, "derived", 0.1))).splitlines():
         assert line.isprintable(), line
         if line.startswith("# ") and "quoted" not in line:
             assert len(line) <= 100
@@ -82,7 +88,7 @@ def test_every_line_is_printable_and_short() -> None:
 
 @pytest.mark.parametrize("line", ["gain = 0.5", 'mode = "a\\"b"'])
 def test_an_option_is_set_by_removing_its_hash(line: str) -> None:
-    text = campaign(robustness=Constants(-2.0, 17.0, 0.34, 0.1)).text()
+    text = campaign_text(campaign(robustness=Constants(-2.0, 17.0, 0.34, 0.1)))
     assert text.count(f"\n# system.{line}") == 1
     found = tomllib.loads(text.replace(f"\n# system.{line}", f"\nsystem.{line}"))
     name = line.partition(" ")[0]
@@ -90,14 +96,14 @@ def test_an_option_is_set_by_removing_its_hash(line: str) -> None:
 
 
 def test_a_campaign_for_a_fleet_removes_one_hash() -> None:
-    text = campaign(robustness=Constants(-2.0, 17.0, 0.34, 0.1)).text()
+    text = campaign_text(campaign(robustness=Constants(-2.0, 17.0, 0.34, 0.1)))
     assert parse_campaign(text.encode(), "c.toml").second_opinion == 0
     asked = text.replace("\n# second_opinion", "\nsecond_opinion")
     assert parse_campaign(asked.encode(), "c.toml").second_opinion == 0.02
 
 
 def test_two_problems_carry_a_bound_from_the_nominal_to_the_true_system() -> None:
-    text = campaign(nominal=Constants(-2.0, 17.0, 0.0, 0.1), gap=Constants(0.1, 3.0, "derived", 0.1)).text()
+    text = campaign_text(campaign(nominal=Constants(-2.0, 17.0, 0.0, 0.1), gap=Constants(0.1, 3.0, "derived", 0.1)))
     config = parse_campaign(text.encode(), "c.toml")
     check(config, SPEC, "c.toml")
     assert config.composition == "pointwise"
@@ -105,13 +111,13 @@ def test_two_problems_carry_a_bound_from_the_nominal_to_the_true_system() -> Non
 
 
 def test_one_sample_has_no_horizon() -> None:
-    text = campaign(horizon=0.0, robustness=Constants(-2.0, 17.0, 0.34, 0.1)).text()
+    text = campaign_text(campaign(horizon=0.0, robustness=Constants(-2.0, 17.0, 0.34, 0.1)))
     assert "horizon =" not in text
     check(parse_campaign(text.encode(), "c.toml"), SPEC, "c.toml")
 
 
 def test_the_kernel_of_the_pilot_is_that_of_the_file() -> None:
-    config = parse_campaign(campaign(robustness=Constants(-2.0, 17.0, 0.34, 0.1)).text().encode(), "c.toml")
+    config = parse_campaign(campaign_text(campaign(robustness=Constants(-2.0, 17.0, 0.34, 0.1))).encode(), "c.toml")
     (problem,) = config.problems
     assert isinstance(problem, RigorousProblem)
     assert problem.kernel.nu == NU
@@ -133,15 +139,15 @@ def test_a_small_campaign_names_what_a_large_one_has() -> None:
         size=FirstSize(110, 1, spot_check=110),
         cost=0.5,
     )
-    config = parse_campaign(small.text().encode(), "c.toml")
+    config = parse_campaign(campaign_text(small).encode(), "c.toml")
     assert (config.max_tests, config.replicates_of(config.problems[0])) == (110, 1)
     assert (config.spot_check, config.spot_check_followups) == (110, 110)
-    assert comment(small.text(), "Tests at most") == (
+    assert comment(campaign_text(small), "Tests at most") == (
         "Tests at most; the bound is valid whenever they end. A rollout takes about 0.5 s, so this first campaign is "
         "small: one rollout a test. More rollouts prove more: where rollouts are quick, `perfbound init` writes "
         "max_tests = 60 and replicates = 8, that is 60 tests of 8 rollouts each: 480 rollouts in place of 110."
     )
-    assert comment(small.text(), "Tests of the check") == (
+    assert comment(campaign_text(small), "Tests of the check") == (
         "Tests of the check at the end, fewer since a rollout takes about 0.5 s: without these two keys 299 each."
     )
 
@@ -163,7 +169,7 @@ SMALL = (
 )
 def test_a_campaign_without_noise_is_called_small_where_it_is(cost: float, tests: int, checks: int, small: str) -> None:
     size = first_size(cost, noisy=False, variants=1)
-    text = replace(campaign(robustness=Constants(-2.0, 17.0, 0.0, 0.1)), size=size, cost=cost).text()
+    text = campaign_text(replace(campaign(robustness=Constants(-2.0, 17.0, 0.0, 0.1)), size=size, cost=cost))
     config = parse_campaign(text.encode(), "c.toml")
     assert (config.max_tests, config.spot_check) == (tests, checks)
     assert comment(text, "Tests at most") == f"Tests at most; the bound is valid whenever they end.{small}"
@@ -173,7 +179,7 @@ def test_a_campaign_without_noise_is_called_small_where_it_is(cost: float, tests
 
 def test_a_check_of_the_usual_size_has_no_key() -> None:
     size = first_size(0.16, noisy=True, variants=1)
-    text = replace(campaign(robustness=Constants(-2.0, 17.0, 0.34, 0.1)), size=size, cost=0.16).text()
+    text = campaign_text(replace(campaign(robustness=Constants(-2.0, 17.0, 0.34, 0.1)), size=size, cost=0.16))
     assert size.spot_check == 299
     assert f"480 rollouts in place of {size.max_tests}." in comment(text, "Tests at most")
     assert "\nspot_check" not in text
@@ -181,7 +187,7 @@ def test_a_check_of_the_usual_size_has_no_key() -> None:
 
 def test_replicates_are_those_of_the_problem_with_noise() -> None:
     found = campaign(nominal=Constants(-2.0, 17.0, 0.0, 0.1), gap=Constants(0.1, 3.0, "derived", 0.1))
-    text = replace(found, size=first_size(0.5, noisy=True, variants=2), cost=0.5).text()
+    text = campaign_text(replace(found, size=first_size(0.5, noisy=True, variants=2), cost=0.5))
     assert "max_tests = 60 and replicates = 8 for sim_gap, that is 60 tests of 8 rollouts each." in comment(
         text, "Tests of a problem"
     )
@@ -190,8 +196,8 @@ def test_replicates_are_those_of_the_problem_with_noise() -> None:
 @pytest.mark.parametrize("noise", [0.34, "derived"])
 def test_alpha_is_one_that_the_tests_can_reach(noise: float | str) -> None:
     proposed = campaign(robustness=Constants(-2.0, 17.0, noise, 0.01))
-    assert warnings(plans(parse_campaign(proposed.text().encode(), "c.toml"), SPEC))
-    found = parse_campaign(_reachable(proposed).text().encode(), "c.toml")
+    assert warnings(plans(parse_campaign(campaign_text(proposed).encode(), "c.toml"), SPEC))
+    found = parse_campaign(campaign_text(_reachable(proposed)).encode(), "c.toml")
     assert warnings(plans(found, SPEC)) == []
     within_reach = campaign(robustness=Constants(-2.0, 17.0, noise, 16.0))
     assert _reachable(within_reach) == within_reach
@@ -222,7 +228,7 @@ def asking(question: str, **changes: Any) -> FirstCampaign:
 @pytest.mark.parametrize("question", ONE_SIMULATOR)
 @pytest.mark.parametrize("system", [SystemChoice(name="robot"), PROGRAM], ids=["function", "program"])
 def test_a_file_for_one_simulator_has_twelve_lines(question: str, system: SystemChoice) -> None:
-    text = asking(question, system=system).text()
+    text = campaign_text(asking(question, system=system))
     assert key_lines(text) <= MOST_KEYS
     config = parse_campaign(text.encode(), "robot.toml")
     assert config.system == system
@@ -232,13 +238,13 @@ def test_a_file_for_one_simulator_has_twelve_lines(question: str, system: System
 
 def test_a_file_for_slow_rollouts_has_twelve_lines_too() -> None:
     size = first_size(1.0, noisy=True, variants=1)
-    text = asking("worst", size=size, cost=1.0, system=PROGRAM).text()
+    text = campaign_text(asking("worst", size=size, cost=1.0, system=PROGRAM))
     assert "spot_check_followups" in text
     assert key_lines(text) <= MOST_KEYS
 
 
 def test_the_file_without_a_kernel_has_that_of_the_pilot() -> None:
-    text = asking("worst").text()
+    text = campaign_text(asking("worst"))
     written = next(line for line in text.splitlines() if line.startswith("# kernel = "))
     with_kernel = parse_campaign(text.replace(written, written.removeprefix("# ")).encode(), "robot.toml")
     assert parse_campaign(text.encode(), "robot.toml").digest == with_kernel.digest
@@ -253,7 +259,7 @@ def test_the_file_without_a_kernel_has_that_of_the_pilot() -> None:
     ],
 )
 def test_questions_about_drawn_starts_need_no_constant(question: str, asked: list[tuple[str, float | None]]) -> None:
-    config = parse_campaign(asking(question).text().encode(), "robot.toml")
+    config = parse_campaign(campaign_text(asking(question)).encode(), "robot.toml")
     (problem,) = config.problems
     assert (problem.method, config.max_tests) == ("sample", MOST_SAMPLES)
     assert [(each.asked.quantity, each.asked.level) for each in config.claims_of(problem)] == asked
@@ -261,7 +267,7 @@ def test_questions_about_drawn_starts_need_no_constant(question: str, asked: lis
 
 
 def test_a_distribution_is_set_by_removing_one_hash() -> None:
-    lines = asking("how-often").text().splitlines()
+    lines = campaign_text(asking("how-often")).splitlines()
     example = next(line for line in lines if line.startswith("# space.v = "))
     text = "\n".join(line for line in lines if not line.startswith("space.v"))
     config = parse_campaign(text.replace(example, example.removeprefix("# ")).encode(), "robot.toml")
@@ -276,19 +282,19 @@ def test_the_samples_are_those_of_a_minute_and_show_something(cost: float | None
     assert 59 <= found <= MOST_SAMPLES
     if found > 59:
         assert (found + 20) * (cost or 0.0) / 2 <= 61
-    text = asking("worst-cases", size=first_samples(cost), cost=cost).text()
+    text = campaign_text(asking("worst-cases", size=first_samples(cost), cost=cost))
     parse_campaign(text.encode(), "robot.toml")
 
 
 def test_a_search_for_a_failing_start_ends_with_it() -> None:
-    config = parse_campaign(asking("fails").text().encode(), "robot.toml")
+    config = parse_campaign(campaign_text(asking("fails")).encode(), "robot.toml")
     (problem,) = config.problems
     assert config.falsify is not None
     assert (problem.method, config.max_tests) == ("sample", 299)
 
 
 def test_regions_are_a_key_beside_those_of_the_worst_start() -> None:
-    safe, worst = (parse_campaign(asking(each).text().encode(), "robot.toml") for each in ("safe", "worst"))
+    safe, worst = (parse_campaign(campaign_text(asking(each)).encode(), "robot.toml") for each in ("safe", "worst"))
     assert safe == worst.model_copy(update={"regions": True})
 
 
