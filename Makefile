@@ -88,7 +88,7 @@ imports: $(INSTALLED)-dev ## Which room may import which
 	$(BIN)/lint-imports
 
 # Readers of our files in JavaScript. Where there is no npm, their tests are skipped, and the last line of the tests says so.
-READERS := tests/end_to_end/node
+READERS := tests/end_to_end/report/node
 build/node/.installed: $(READERS)/package.json $(READERS)/package-lock.json
 	@mkdir -p build/node
 	@if command -v npm >/dev/null; then cp $^ build/node && npm ci --silent --no-audit --no-fund --prefix build/node || { \
@@ -120,24 +120,28 @@ studies: $(READY) ## The long forms of the statistical tests (hours)
 	$(PYTEST) -m slow tests
 
 # What else runs after a change of a room: `make touched BASE=main`.
-REST_schemas := test_bad_input test_input_signals test_mcap_readers
-REST_orchestrator/cli := test_pipes test_ends test_first_steps
-REST_orchestrator/report := test_page test_report test_replay test_live test_index test_watch
-REST_orchestrator/run := test_resume test_stop test_left_behind test_robustness
-REST_orchestrator/certificate := test_verify test_verdict test_signed test_six_campaigns
-REST_orchestrator/campaign := test_methods test_extension test_plan test_calibrate test_check_system
-REST_orchestrator/store := test_resume test_campaign
-REST_orchestrator/fleet := test_router test_three_hosts test_life
-REST_workers := test_programs test_opened test_places test_plant test_life
-REST_perfbound := test_library test_wheel
-REST_deploy := test_deployments test_slurm
-REST_docs := test_tutorial test_questions
+REST_schemas := run/test_bad_input.py systems/test_input_signals.py report/test_mcap_readers.py
+REST_orchestrator/cli := run/test_pipes.py run/test_ends.py prepare/test_first_steps.py
+REST_orchestrator/prepare := prepare
+REST_orchestrator/report := report
+REST_orchestrator/run := run/test_resume.py run/test_stop.py run/test_left_behind.py run/test_robustness.py
+REST_orchestrator/hosts := fleet/test_slurm.py fleet/test_router.py
+REST_orchestrator/certificate := certificate methods/test_six_campaigns.py
+REST_orchestrator/forecast := prepare/test_plan.py methods/test_kriging.py
+REST_orchestrator/campaign := methods run/test_extension.py
+REST_orchestrator/store := run/test_resume.py run/test_campaign.py
+REST_orchestrator/fleet := fleet/test_router.py fleet/test_three_hosts.py run/test_life.py
+REST_orchestrator/mathematics := methods
+REST_workers := systems run/test_places.py run/test_life.py
+REST_perfbound := product/test_library.py product/test_wheel.py
+REST_deploy := fleet/test_deployments.py fleet/test_slurm.py
+REST_docs := product/test_tutorial.py prepare/test_questions.py
 ROOMS := $(patsubst REST_%,%,$(filter REST_%,$(.VARIABLES)))
 BASE ?= HEAD~1
 CHANGED = $(shell git diff --name-only $(BASE) 2>/dev/null)
 TOUCHED = $(sort $(foreach room,$(ROOMS),$(if $(filter $(room)/%,$(CHANGED)),$(REST_$(room)))))
 touched: $(READY) ## The tests of test-all that belong to the rooms which differ from BASE (the last commit)
-	@test -z "$(TOUCHED)" || $(PYTEST) -m "not slow" $(TOUCHED:%=tests/end_to_end/%.py)
+	@test -z "$(TOUCHED)" || $(PYTEST) -m "not slow" $(TOUCHED:%=tests/end_to_end/%)
 
 explore: $(INSTALLED)-dev ## Property tests with new random cases, many of them
 	PERFBOUND_EXPLORE=1 $(BIN)/python -m pytest -q tests/unit
@@ -152,21 +156,21 @@ faults: $(INSTALLED)-dev ## Campaigns under seeded faults: kill, stop, partition
 	$(BIN)/python -m tests.faults --minutes $(MINUTES) --seed $(SEED)
 
 coverage: $(INSTALLED)-dev ## How often bounds fail, over thousands of campaigns (half an hour; continues where it stopped)
-	$(BIN)/python -m tests.coverage
+	$(BIN)/python -m tests.studies.coverage
 
 reproduce: setup ## The paper's tables and figures, into runs/paper (half an hour; continues where it stopped)
 	$(BIN)/perfbound reproduce paper --out runs/paper
 
-$(VENV)-bench/.installed: tests/benchmarks/requirements.txt
+$(VENV)-bench/.installed: tests/studies/benchmarks/requirements.txt
 	test -x $(VENV)-bench/bin/python || $(PYTHON) -m venv $(VENV)-bench
 	$(VENV)-bench/bin/python -m pip install --quiet --disable-pip-version-check -r $<
 	touch $@
 
 bench: $(INSTALLED)-dev $(VENV)-bench/.installed ## CPU times beside those of peers, in one table and as JSON
-	$(BIN)/python -m tests.benchmarks
+	$(BIN)/python -m tests.studies.benchmarks
 
 bench-compare: $(INSTALLED)-dev ## Two results side by side: OLD=... NEW=... (JSON files of make bench)
-	$(BIN)/python -m tests.benchmarks.compare $(OLD) $(NEW)
+	$(BIN)/python -m tests.studies.benchmarks.compare $(OLD) $(NEW)
 
 schemas: $(INSTALLED)-dev ## Write schemas/json/v1 anew from the models
 	$(BIN)/python -m perfbound.schemas

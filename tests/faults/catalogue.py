@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.end_to_end.hosts import no_namespaces
+from tests.end_to_end.fleet.hosts import no_namespaces
 from tests.faults import deaths, links, machine, nodes, peers, removals, systems
 from tests.faults.scene import Scene
 

@@ -2,7 +2,7 @@
 
 import time
 
-from tests.end_to_end.hosts import ip
+from tests.end_to_end.fleet.hosts import ip
 from tests.end_to_end.processes import Process, query
 from tests.faults.scene import Scene
 from tests.faults.verdict import prefix

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.coverage.calibration import outcome
-from tests.coverage.spot_checks import FAMILIES, OBSERVED, Observed
+from tests.studies.coverage.calibration import outcome
+from tests.studies.coverage.spot_checks import FAMILIES, OBSERVED, Observed
 
 
 @pytest.mark.parametrize("observed", OBSERVED[:2], ids=["exact", "mean"])

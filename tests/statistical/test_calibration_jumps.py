@@ -9,9 +9,9 @@ import pytest
 from perfbound.orchestrator.prepare.calibrate import pilot as calibration_pilot
 from perfbound.orchestrator.prepare.calibrate.pilot import CalibrationPilot
 from perfbound.orchestrator.prepare.calibrate.rollouts import RolloutBatch, StartRollout
-from tests.coverage.calibration import FunctionRollouts, draft, spec
-from tests.coverage.functions import Floats, Function
-from tests.coverage.spot_checks import FAMILIES, LEVEL, OBSERVED, SD
+from tests.studies.coverage.calibration import FunctionRollouts, draft, spec
+from tests.studies.coverage.functions import Floats, Function
+from tests.studies.coverage.spot_checks import FAMILIES, LEVEL, OBSERVED, SD
 
 FUNCTIONS = 60
 Law = Callable[[np.random.Generator, Floats], Floats]

@@ -15,16 +15,16 @@ from threadpoolctl import threadpool_limits
 import perfbound.orchestrator.mathematics.bounds.rigorous.candidate_band
 from perfbound.orchestrator.mathematics.bounds.composition import compose_mean
 from perfbound.orchestrator.mathematics.bounds.rigorous.confidence import scales_squared
-from tests.coverage import composition, kriging, rigorous, sampling, scenario
-from tests.coverage.composition import Composition
-from tests.coverage.kriging import Kriging, KrigingAudit
-from tests.coverage.oracle import allowed
-from tests.coverage.page import Found
-from tests.coverage.records import Row
-from tests.coverage.rigorous import Audit, Rigorous
-from tests.coverage.sampling import Sampling
-from tests.coverage.scenario import Scenario
-from tests.coverage.study import all_rows, one_chunk
+from tests.studies.coverage import composition, kriging, rigorous, sampling, scenario
+from tests.studies.coverage.composition import Composition
+from tests.studies.coverage.kriging import Kriging, KrigingAudit
+from tests.studies.coverage.oracle import allowed
+from tests.studies.coverage.page import Found
+from tests.studies.coverage.records import Row
+from tests.studies.coverage.rigorous import Audit, Rigorous
+from tests.studies.coverage.sampling import Sampling
+from tests.studies.coverage.scenario import Scenario
+from tests.studies.coverage.study import all_rows, one_chunk
 
 JUDGED = [row for row in all_rows() if Found(row, {}).judged and not row.kind.endswith("audit")]
 KINDS = sorted({(row.kind, row.claimed) for row in JUDGED})

@@ -18,10 +18,10 @@ from perfbound.orchestrator.mathematics.bounds.joint import JointMethod
 from perfbound.schemas.result.facts import Header
 from perfbound.schemas.trajectory.trajectory import Trajectory
 from perfbound.schemas.values import Bound, Observation
-from tests.coverage import requirements
-from tests.coverage.oracle import ROUNDING
-from tests.coverage.requirements import Requirements, in_order
 from tests.fakes.simulators import robustness, spec
+from tests.studies.coverage import requirements
+from tests.studies.coverage.oracle import ROUNDING
+from tests.studies.coverage.requirements import Requirements, in_order
 
 DELTA = 0.05
 CLAIMS = ("every", "first", "last")

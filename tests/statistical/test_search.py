@@ -11,7 +11,7 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from perfbound.orchestrator.mathematics.search import Falsifier
-from tests.benchmarks.falsification import interval
+from tests.studies.benchmarks.parts.falsification import interval
 
 Function = Callable[[np.ndarray], float]
 SEEDS = range(15)

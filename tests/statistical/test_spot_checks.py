@@ -2,8 +2,8 @@
 
 import pytest
 
-from tests.coverage.spot_checks import FAMILIES, OBSERVED, campaigns
-from tests.coverage.spot_page import BINS, is_silent, numbers, tables
+from tests.studies.coverage.spot_checks import FAMILIES, OBSERVED, campaigns
+from tests.studies.coverage.spot_page import BINS, is_silent, numbers, tables
 
 
 @pytest.mark.parametrize("rounds", [1, pytest.param(3, marks=pytest.mark.slow)])

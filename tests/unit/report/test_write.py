@@ -28,7 +28,7 @@ from perfbound.schemas.result.facts import Header
 from perfbound.schemas.system import SystemSpec
 from perfbound.schemas.trajectory.trajectory import Trajectory
 from perfbound.workers.systems import load_system
-from tests.end_to_end import example_reports
+from tests.end_to_end.report import example_reports
 from tests.fakes.finished import a_list, a_pair, contents, finish, insert, play
 
 HOSTILE = (

@@ -17,7 +17,7 @@ from perfbound.orchestrator.mathematics.calibration.steepness import Descent, En
 from perfbound.orchestrator.mathematics.calibration.trust import EXACT_MARGIN, Choice, choose_kernel, least_predicted
 from perfbound.orchestrator.mathematics.calibration.variogram import variogram
 from perfbound.orchestrator.mathematics.sobol import sobol_blocks
-from tests.coverage.functions import SIDE, Floats, random_function
+from tests.studies.coverage.functions import SIDE, Floats, random_function
 
 Values = Callable[[Floats], Floats]
 SHARES = (next(sobol_blocks(2))[:256] + 0.3) % 1.0

@@ -28,9 +28,9 @@ from perfbound.schemas.errors import CampaignError
 from perfbound.schemas.file.draft import CLIP, Draft, load_draft
 from perfbound.schemas.file.problem_models import KrigingProblem, RigorousProblem
 from perfbound.schemas.file.reader import parse_campaign
-from tests.coverage.calibration import FunctionRollouts, spec
-from tests.coverage.functions import Floats
-from tests.coverage.spot_checks import OBSERVED
+from tests.studies.coverage.calibration import FunctionRollouts, spec
+from tests.studies.coverage.functions import Floats
+from tests.studies.coverage.spot_checks import OBSERVED
 
 HEAD = 'specification = "value >= 0"\nsystem.name = "any-function"\nspace.z1 = [0, 5]\nspace.z2 = [0, 5]\n'
 

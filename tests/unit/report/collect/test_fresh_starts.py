@@ -10,7 +10,7 @@ from perfbound.orchestrator.report.collect.campaign import Collector
 from perfbound.orchestrator.report.data import page as data
 from perfbound.orchestrator.report.data.page import Problem, to_json
 from perfbound.schemas.rollout import RolloutRequest
-from tests.end_to_end import example_reports
+from tests.end_to_end.report import example_reports
 from tests.fakes.simulators import noise, robustness, simulate
 
 RIGOROUS = {"method": "rigorous", "alpha": 0.2, "rkhs_norm": 2.0, "noise_scale": 0.0, "kernel": {"length_scale": 0.7}}
