@@ -30,12 +30,35 @@ from ..schemas.ranges import within_steps
 from ..schemas.rollout import RolloutRequest
 from ..schemas.system import SystemSpec
 from .faults import NOT_OF_SYSTEMS, fault_text
-from .heartbeats import Heartbeats
 from .parcels import Key, Parcels, key_of
 from .simulate import requested_system, run_request_on
 from .systems import usable
 from .systems.base import Cancelled
 from .transport import Uplink
+
+
+class Heartbeats:
+    """When the next heartbeat is due, for a thread that asks every `period` s; any thread may set the interval."""
+
+    def __init__(self, uplink: Uplink, period: float) -> None:
+        self._uplink, self._period = uplink, period
+        self._orchestrators: list[tuple[str, str]] | None = None
+        self._next = float("-inf")
+        self.interval = period
+        """Seconds."""
+
+    def due(self, *, at_once: bool) -> bool:
+        """Whether to send one now, which is then counted as sent; `at_once` whether something has changed."""
+        now, orchestrators = time.monotonic(), self._uplink.orchestrators()
+        if orchestrators != self._orchestrators:
+            # Another one, or this one after the link was down: it has sent no interval, and waits for a report.
+            self._orchestrators, self.interval, at_once = orchestrators, self._period, True
+        if not at_once and now < self._next:
+            return False
+        # A wait may end a little early, and the heartbeat would be late by another one.
+        self._next = now + self.interval - self._period / 2
+        return True
+
 
 RESEND = 1.0
 """Seconds between two deliveries of a result that is not acknowledged."""

@@ -15,6 +15,7 @@
 
 import io
 import re
+import stat
 import time
 from collections import Counter
 from collections.abc import AsyncIterator, Callable
@@ -30,13 +31,13 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from ....schemas.errors import EvidenceError, PerfboundError, one_line
-from ...certificate.files import CERTIFICATE
+from ...certificate.files import CERTIFICATE, MAX_CERTIFICATE
 from ...run.page.address import Address
 from ...run.page.page_access import OPEN, PageAccess
-from ...store import export
+from ...store import export, files
+from ...store.changes import rollouts_of
 from ...store.files import FOLDER
 from .. import html as document
-from . import files
 from .metrics import CampaignMetrics
 from .run_feed import RunFeed
 from .security import restricted
@@ -115,10 +116,10 @@ class _Endpoints:
 
     async def trajectory(self, request: Request) -> Response:
         path = f"{FOLDER}/{request.path_params['rest']}"
-        return await self._file(partial(files.recorded_file, self._directory, path), "application/octet-stream")
+        return await self._file(partial(recorded_file, self._directory, path), "application/octet-stream")
 
     async def certificate(self, _: Request) -> Response:
-        return await self._file(partial(files.certificate, self._directory, CERTIFICATE), JSON)
+        return await self._file(partial(certificate, self._directory, CERTIFICATE), JSON)
 
     async def counterexamples(self, _: Request) -> Response:
         return await self._file(self._counterexamples, "text/csv")
@@ -192,3 +193,44 @@ def plain(text: str, status: int) -> Response:
 
 def _unreadable(_: Request, error: Exception) -> Response:
     return plain(str(error), 503)
+
+
+# Files of a run directory. A path from a request is never opened: it is looked up in the database, and its file must be
+# in the run directory, reached without a symbolic link, and have the recorded digest, so that neither a forged database
+# nor a link in a forged directory opens another file.
+
+_PATH = re.compile(
+    rf"{files.FOLDER}/[a-z_]{{1,40}}/[0-9]{{1,9}}/([a-z_]{{1,40}})\.([0-9]{{1,9}})\.[a-z]+\.[0-9]+\.mcap"
+)
+
+
+def recorded_file(directory: Path, path: str) -> bytes | None:
+    """Return a recorded trajectory file by its path in the run directory; None if `path` is not that of one.
+
+    Raises:
+        EvidenceError: the file is not the recorded one.
+        JournalError: the database cannot be read.
+
+    """
+    found = _PATH.fullmatch(path)
+    facts = rollouts_of(directory, found[1], int(found[2])) if found else []
+    fact = next((fact for fact in facts if fact.path == path), None)
+    if fact is None or not _is_plain(directory, fact.path, fact.size):
+        return None
+    return files.read_evidence(directory, fact.path, fact.sha256)
+
+
+def certificate(directory: Path, name: str) -> bytes | None:
+    """Return the certificate; None if there is none."""
+    return (directory / name).read_bytes() if _is_plain(directory, name, MAX_CERTIFICATE) else None
+
+
+def _is_plain(directory: Path, relative: str, most: int) -> bool:
+    """Return whether this is a regular file of at most `most` bytes, reached without a link in the directory."""
+    path = directory.resolve() / relative
+    try:
+        state = path.lstat()
+        # A FIFO would block its reader; a path that resolves elsewhere has a link on the way.
+        return stat.S_ISREG(state.st_mode) and state.st_size <= most and path.resolve() == path
+    except OSError:
+        return False

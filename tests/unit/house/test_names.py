@@ -42,9 +42,27 @@ def test_the_orchestrator_has_its_rooms_and_no_loose_module() -> None:
 
 
 def test_no_folder_has_many_files() -> None:
-    tracked = subprocess.run(["git", "ls-files"], cwd=source.ROOT, capture_output=True, text=True, check=True).stdout
-    folders = Counter(str(Path(each).parent) for each in tracked.splitlines() if not each.startswith(FIXTURES))
-    assert {folder: number for folder, number in folders.items() if number > FILES} == {}
+    folders = [
+        source.ROOT / name for name in ("docs", "deploy", "orchestrator", "schemas", "tests", "workers", "perfbound")
+    ]
+    folders += [
+        path for folder in folders for path in folder.rglob("*") if path.is_dir() and "fixtures" not in path.parts
+    ]
+    numbers = {folder: sum(each.is_file() and each.suffix != ".pyc" for each in folder.iterdir()) for folder in folders}
+    assert {folder: number for folder, number in numbers.items() if number > FILES} == {}
+
+
+def test_a_small_module_has_several_importers_or_says_why_it_is_apart() -> None:
+    importers = defaultdict(set)
+    for one, other in source.arrows(everywhere=True):
+        importers[other].add(one)
+    for module, others in importers.items():
+        if source.lines(module) >= SMALL or len(others) > 1 or module.endswith(("__init__.py", "__main__.py")):
+            continue
+        beside = [other for other in others if Path(other).parent == Path(module).parent and "__init__" not in other]
+        said = ast.get_docstring(source.modules()[module]) or ""
+        # A formula with its table of symbols is an idea of its own.
+        assert not beside or "| symbol |" in said or "apart" in said.split("\n\n")[0], (module, beside)
 
 
 def test_modules_are_short() -> None:

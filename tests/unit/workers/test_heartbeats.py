@@ -3,9 +3,8 @@
 import pytest
 
 from perfbound.schemas.link.messages import HEARTBEAT, HeartbeatInterval
-from perfbound.workers import heartbeats as module
-from perfbound.workers.heartbeats import Heartbeats
-from perfbound.workers.worker import WorkerProcess
+from perfbound.workers import worker as module
+from perfbound.workers.worker import Heartbeats, WorkerProcess
 from tests.unit.workers.test_ends import Wire
 
 

@@ -41,9 +41,8 @@ from perfbound.orchestrator.fleet.dispatch.events import (
     WorkerDown,
     WorkerUp,
 )
-from perfbound.orchestrator.fleet.dispatch.leaving import OFTEN
 from perfbound.orchestrator.fleet.dispatch.limits import Limits
-from perfbound.orchestrator.fleet.dispatch.machine import KNOWN, LEGAL, SIDE_EFFECTS
+from perfbound.orchestrator.fleet.dispatch.machine import KNOWN, LEGAL, OFTEN, SIDE_EFFECTS
 from perfbound.orchestrator.fleet.dispatch.state import DispatchState
 from perfbound.schemas.failure import Failure
 from perfbound.schemas.ids import Attempt, RolloutId

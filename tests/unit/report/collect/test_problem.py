@@ -12,7 +12,7 @@ from perfbound.orchestrator.campaign.plan import plans
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice
 from perfbound.orchestrator.report.collect import importance, limits, prediction
 from perfbound.orchestrator.report.collect.campaign import Collector
-from perfbound.orchestrator.report.collect.histogram import RolloutValues
+from perfbound.orchestrator.report.collect.complete import RolloutValues
 from perfbound.orchestrator.report.collect.posterior import posterior
 from perfbound.orchestrator.report.data.bars import bar_counts, edges
 from perfbound.orchestrator.report.data.page import Problem, to_json
