@@ -85,8 +85,11 @@ def _targets(module: str, node: ast.ImportFrom) -> set[str]:
     """Return the modules of ours that an import names."""
     home = module.split("/")[: -node.level] if node.level else []
     parts = [*home, *(node.module or "").split(".")] if node.module else home
-    if not node.level:
-        parts = parts[1:] if parts[:1] == ["perfbound"] else []
+    # `perfbound` links to the other folders; one import of the library is relative to it, most are absolute.
+    if parts[:1] == ["perfbound"] and parts[1:2] != ["library"]:
+        parts = parts[1:]
+    elif not node.level:
+        parts = []
     found = set()
     for alias in node.names:
         for path in ([*parts, f"{alias.name}.py"], [*parts, alias.name, "__init__.py"]):

@@ -7,9 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betainc, betaincc, betaln
 
-from perfbound.orchestrator.mathematics.bounds.checks.rollout_spread import BORROWED
-from perfbound.orchestrator.mathematics.bounds.checks.spot_check import CAP, EXPLORE, OUTSIDE, SUSPICIOUS
-from perfbound.orchestrator.mathematics.bounds.checks.spot_wealth import DEFICITS
+from perfbound.orchestrator.mathematics.bounds.checks.spot_check import (
+    BORROWED,
+    CAP,
+    DEFICITS,
+    EXPLORE,
+    OUTSIDE,
+    SUSPICIOUS,
+)
 from perfbound.orchestrator.mathematics.bounds.one_law.betting import BOLD_AND_CAREFUL
 from perfbound.orchestrator.mathematics.bounds.one_law.predictable import LEAST_SPREAD, RENEWAL, STRATEGIES
 from perfbound.orchestrator.mathematics.bounds.rounding import ROUND_OFF

@@ -1,4 +1,4 @@
-"""The picture of one rollout: a small panel for every column over time."""
+"""The picture of one rollout: a small panel for every column over time; apart, since matplotlib loads for a second."""
 
 import textwrap
 

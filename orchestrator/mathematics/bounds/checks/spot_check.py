@@ -45,9 +45,86 @@ from .....schemas.values import Proposal
 from ...gp.kernels import Floats
 from ...gp.lattice import check_index
 from ..one_law.share import clopper_pearson_upper
-from ..rounding import ROUND_OFF, decimal, floor_to_step
-from .rollout_spread import Spread
-from .spot_wealth import DEFICITS, SpotWealth
+from ..rounding import RICHEST, ROUND_OFF, decimal, floor_to_step
+
+# The wealth of the bets
+
+DEFICITS = (0.25, 0.5, 1.0, 2.0)
+"""Each strategy bets what is best (Kelly, second order) for this mean excess, in standard deviations of a rollout."""
+
+
+class SpotWealth:
+    """The wealth of one kind of bets: own ones of every start, and the joint one of follow-ups."""
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._own = np.full((len(DEFICITS), size), 1.0 / len(DEFICITS))  # (S, m)
+        self._joint = np.full(len(DEFICITS), 1.0 / len(DEFICITS))  # (S,)
+
+    def bet(self, node: int, factors: Sequence[float], *, joins: bool) -> None:
+        """Multiply the wealth of every strategy at a start, and of follow-ups if this is one that `joins` them."""
+        # As numbers of Python: one that overflows is infinite, and not a warning.
+        for s, factor in enumerate(factors):
+            self._own[s, node] = min(float(self._own[s, node]) * factor, RICHEST)
+            self._joint[s] = min(float(self._joint[s]) * factor, RICHEST) if joins else self._joint[s]
+
+    def own(self, node: int) -> float:
+        """W_j of a start."""
+        return math.fsum(self._own[:, node])
+
+    @property
+    def whole(self) -> float:
+        """W."""
+        # Half each: the mean over the starts names one that is bad, the joint bets show many that are a little too bad.
+        return (math.fsum(self._own.ravel()) / self._size + math.fsum(self._joint)) / 2.0
+
+
+# Mean and standard deviation of the rollouts at many starts, most of which have few
+
+BORROWED = 3.0
+"""Degrees of freedom that a start without enough rollouts of its own takes from all starts."""
+
+
+class Spread:
+    """Mean excess of every start, and a standard deviation of one rollout that small samples share.
+
+    The variance within starts is pooled; while it has few degrees of freedom, the variance between first rollouts
+    counts as BORROWED of them, and a quarter of the range as the first of those. A start's own variance enters by its
+    degrees of freedom. It serves bets and choices, which may be any function of the past: no claim depends on it.
+    """
+
+    def __init__(self, size: int, width: float) -> None:
+        self.count = np.zeros(size)  # (m,)
+        self.mean = np.zeros(size)  # (m,) unit J
+        self._squares = np.zeros(size)  # (m,) squared deviations from the mean of the start
+        self._within = self._degrees = 0.0  # sums over the starts
+        self._started = self._centre = 0.0  # number and mean of the first rollouts
+        self._between = (width / 4.0) ** 2 if math.isfinite(width) else 1.0
+        self._least = 1e-6 * width if math.isfinite(width) else 1e-6
+
+    def add(self, node: int, excess: float) -> None:
+        """Add the excess of one rollout [Welford's update]."""
+        if self.count[node]:
+            self._degrees += 1.0
+        else:
+            self._started += 1.0
+            shift = excess - self._centre
+            self._centre += shift / self._started
+            self._between += shift * (excess - self._centre)
+        self.count[node] += 1.0
+        shift = excess - self.mean[node]
+        self.mean[node] += shift / self.count[node]
+        square = shift * (excess - self.mean[node])
+        self._squares[node] += square
+        self._within += square
+
+    def sd(self) -> Floats:
+        """Return the estimated standard deviation of one rollout at every start (m,), positive."""
+        between = self._between / (self._started + 1.0)
+        common = (self._within + BORROWED * between) / (self._degrees + BORROWED)
+        own = (self._squares + BORROWED * common) / (np.maximum(self.count - 1.0, 0.0) + BORROWED)
+        return np.maximum(np.sqrt(own), self._least)
+
 
 VIOLATION = 1e-9
 """A deterministic value violates the limit from this excess on: less is the round-off of the simulator."""
