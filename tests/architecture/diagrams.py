@@ -4,8 +4,8 @@ from collections.abc import Set
 from pathlib import Path
 
 from perfbound.orchestrator.fleet.dispatch.machine import KNOWN
-from tests.architecture.drawing import FRAME, Bend, Layout, Pair, svg
-from tests.architecture.source import arrows_of_rooms
+from tests.architecture import source
+from tests.architecture.drawing import FRAME, Bend, Layout, Pair, plan, svg
 from tests.architecture.transitions import BESIDE_CAMPAIGN, Transition, of_campaign, of_dispatch, of_legal, of_problem
 
 FOLDER = Path(__file__).parents[2] / "docs" / "images"
@@ -46,23 +46,6 @@ CAMPAIGN = Layout(
     },
     bends={("running", "closed"): Bend(120, 0.5), ("going on", "spent"): Bend(45), ("spent", "going on"): Bend(45)},
 )
-ROOMS = Layout(
-    size=(670, 600),
-    places={
-        "cli": (330, 60),
-        "report": (520, 105),
-        "run": (130, 165),
-        "certificate": (590, 260),
-        "campaign": (80, 320),
-        "mathematics": (160, 440),
-        "store": (330, 460),
-        "fleet": (510, 430),
-        "schemas": (330, 570),
-        "workers": (520, 570),
-    },
-    frame=(20, 24, 650, 494),
-    ports={(FRAME, "schemas"): ((330, 494), (330, 553))},
-)
 LABELS = {
     ("Unwanted", "shunned"): "withdrawn",
     ("Delivered", "shunned"): "done elsewhere",
@@ -85,21 +68,13 @@ def merged(transitions: Set[Transition]) -> dict[Pair, list[str]]:
     return found
 
 
-def between_rooms() -> dict[Pair, list[str]]:
-    """Return the arrows between the rooms; an import that all rooms of the orchestrator share is one at the frame."""
-    found = arrows_of_rooms()
-    inside = {room for pair in found for room in pair} - {"schemas", "workers"}
-    shared = {target for _, target in found if {(room, target) for room in inside} <= found}
-    return {(FRAME if source in inside and target in shared else source, target): [] for source, target in found}
-
-
 def texts() -> dict[str, str]:
     """Return file name and content of every diagram."""
     tests = merged(of_campaign())
     for before, _, after in BESIDE_CAMPAIGN - of_legal():
         tests[before, after] = [EARLIER]
     return {
-        "rooms.svg": svg(ROOMS, between_rooms()),
+        "rooms.svg": plan(source.FLOORS, source.parts),
         "dispatch.svg": svg(DISPATCH, merged(of_dispatch())),
         "campaign.svg": svg(CAMPAIGN, tests | merged(of_problem())),
     }

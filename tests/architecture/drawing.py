@@ -1,7 +1,7 @@
-"""State diagrams as SVG: boxes at given places, arrows between them, a frame around boxes that share arrows."""
+"""Diagrams as SVG: of states, with boxes at given places and arrows between them; and the floor plan of the code."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from typing import NamedTuple
@@ -113,4 +113,50 @@ def _on_curve(begin: Point, control: Point, end: Point, at: float) -> Point:
     return (
         sum(weight * point[0] for weight, point in zip(weights, points, strict=True)),
         sum(weight * point[1] for weight, point in zip(weights, points, strict=True)),
+    )
+
+
+WIDTH, FLOOR, GAP, MARGIN = 860.0, 44.0, 8.0, 24.0
+DOT = " \u00b7 "
+
+
+def plan(floors: Sequence[Sequence[str]], parts: Callable[[str], Sequence[str]]) -> str:
+    """Return the floor plan of the orchestrator: a row for each floor, and the folders that it stands on and beside.
+
+    `parts` returns the folders inside one.
+    """
+    left, right = MARGIN + 40.0, WIDTH - MARGIN - 160.0
+    top, frame = MARGIN + FLOOR + 3 * GAP, len(floors) * (FLOOR + GAP)
+    shapes = [_room(left, MARGIN, WIDTH - MARGIN - left, "perfbound", ["library"])]
+    for number, rooms in enumerate(floors):
+        inside = [parts(f"orchestrator/{name}") for name in rooms]
+        needed = [24 + 10 * len(name) + 6.5 * len("   ".join(each)) for name, each in zip(rooms, inside, strict=True)]
+        space, x = right - left - (len(rooms) - 1) * GAP, left
+        for name, each, part in zip(rooms, inside, needed, strict=True):
+            width = space * part / sum(needed)
+            shapes.append(_room(x, top + GAP + number * (FLOOR + GAP), width, name, each))
+            x += width + GAP
+    corner, bottom = left - GAP, top + GAP + frame
+    shapes.append(
+        f'<rect class="frame" x="{corner}" y="{top}" width="{right - corner + GAP}" height="{frame + GAP}" rx="4"/>'
+    )
+    shapes.append(f'<text x="{right - 4}" y="{top - 9}" class="part">orchestrator</text>')
+    beside = right + 3 * GAP
+    shapes.append(_room(beside, bottom - FLOOR - GAP, WIDTH - MARGIN - beside, "workers", parts("workers")))
+    shapes.append(_room(left, bottom + 2 * GAP, WIDTH - MARGIN - left, "schemas", parts("schemas")))
+    height = bottom + 2 * GAP + FLOOR + MARGIN
+    shapes.append(f'<path class="edge" d="M{MARGIN + 6} {MARGIN} V{height - MARGIN}"/>')
+    middle = height / 2
+    words = f'<text class="label" transform="translate({MARGIN - 8} {middle}) rotate(-90)">imports</text>'
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH:g} {height:g}">'
+    own = ".name{font-weight:bold;text-anchor:start}.part{font-size:11px;fill:#444;text-anchor:end}"
+    return "\n".join([head, f"<style>{STYLE}{own}</style><defs>{TIP}</defs>", *shapes, words, "</svg>"]) + "\n"
+
+
+def _room(x: float, y: float, width: float, name: str, parts: Sequence[str]) -> str:
+    middle = y + FLOOR / 2
+    return (
+        f'<rect class="box" x="{x:.1f}" y="{y:g}" width="{width:.1f}" height="{FLOOR:g}" rx="4"/>'
+        f'<text class="name" x="{x + 10:.1f}" y="{middle:g}">{name}</text>'
+        f'<text class="part" x="{x + width - 10:.1f}" y="{middle:g}">{DOT.join(parts)}</text>'
     )

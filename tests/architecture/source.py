@@ -8,6 +8,17 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("orchestrator", "workers", "schemas", "perfbound/library")
+FLOORS = (
+    ("cli",),
+    ("prepare",),
+    ("report",),
+    ("run", "hosts"),
+    ("certificate",),
+    ("forecast",),
+    ("campaign",),
+    ("store", "fleet", "mathematics"),
+)
+"""The rooms of the orchestrator from the top to the ground; those of one floor are independent of one another."""
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 Arrow = tuple[str, str]
 """Importing module and imported module."""
@@ -62,6 +73,15 @@ def room(module: str) -> str:
     """
     parts = module.removesuffix(".py").split("/")
     return parts[1] if parts[0] == "orchestrator" else parts[0]
+
+
+def parts(folder: str) -> list[str]:
+    """Return the folders with modules in a folder.
+
+    >>> parts("orchestrator/prepare")
+    ['calibrate', 'check_system', 'init', 'plan']
+    """
+    return sorted(path.parent.name for path in (ROOT / folder).glob("*/__init__.py"))
 
 
 def arrows_of_rooms() -> set[Arrow]:

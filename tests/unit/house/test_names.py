@@ -9,19 +9,7 @@ import pytest
 
 from tests.architecture import source
 
-ORDER = (
-    ("cli",),
-    ("prepare",),
-    ("report",),
-    ("run", "hosts"),
-    ("certificate",),
-    ("forecast",),
-    ("campaign",),
-    ("store", "fleet", "mathematics"),
-    ("schemas",),
-)
-"""Floors from the top to the ground; rooms of one floor are independent of one another."""
-FLOORS = {room: -floor for floor, rooms in enumerate(ORDER) for room in rooms}
+FLOORS = {room: -floor for floor, rooms in enumerate((*source.FLOORS, ("schemas",))) for room in rooms}
 ROOMS = set(FLOORS) - {"schemas"}
 MODULE_LINES, CLASS_LINES, METHODS, PARAMETERS, ARROWS, FILES = 600, 300, 20, 7, 50, 25
 SMALL = 60
