@@ -14,7 +14,7 @@ from ...schemas.file.drawn_claims import is_sampled
 from ...schemas.file.objectives import OBJECTIVES, Quantity, Reading
 from ...schemas.result.certificate import CertificateClaim, Predicate, ProblemResult
 from ...schemas.result.facts import Header
-from ...schemas.result.verdict import ByRollouts, VerdictWord, Violations
+from ...schemas.result.known import ByRollouts, VerdictWord, Violations
 from ..campaign.clip import SAME, hiding, reach_of
 from ..mathematics.bounds.checks.counter_evidence import OppositeTest
 from ..store.export_tables import robustness_unit

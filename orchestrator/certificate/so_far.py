@@ -10,7 +10,7 @@ from typing import Any
 
 from ...schemas.result.certificate import Assumption, Predicate
 from ...schemas.result.facts import Header
-from ...schemas.result.verdict import CampaignVerdict, Violations
+from ...schemas.result.known import CampaignVerdict, Violations
 from ..campaign.assumption_tests import OneLaw
 from ..campaign.bounded_parts import bounded_accounts
 from ..campaign.ledger import Ledger

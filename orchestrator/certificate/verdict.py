@@ -10,7 +10,7 @@ from ...schemas.file.parts import parts_of
 from ...schemas.file.problem_models import KernelProblem
 from ...schemas.result.certificate import CertificateClaim, Predicate
 from ...schemas.result.facts import Header
-from ...schemas.result.verdict import CampaignVerdict, Violations
+from ...schemas.result.known import CampaignVerdict, Violations
 from ..campaign.clip import SAME
 from .bases import bases
 from .counter_evidence import (

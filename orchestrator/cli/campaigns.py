@@ -21,7 +21,7 @@ from .stderr import STDERR
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-    from ...schemas.result.verdict import CampaignVerdict
+    from ...schemas.result.known import CampaignVerdict
 
 REFUTED = 3
 """Exit code with --strict."""

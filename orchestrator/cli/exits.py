@@ -44,7 +44,7 @@ def process_end() -> Iterator[None]:
 @contextmanager
 def resumable(directory: Path, again: str | None = None, *, options: Sequence[str] = ()) -> Iterator[None]:
     """Name the command that continues a campaign which ends early: `again`, or `perfbound resume` with `options`."""
-    from ..run.format import resume_command  # noqa: PLC0415
+    from ..certificate.words.format import resume_command  # noqa: PLC0415
 
     def remedy(first: str = "") -> str:
         there = again or os.path.exists(directory / "campaign.db")  # Path.exists raises if the name is too long

@@ -10,13 +10,14 @@ from rich.text import Text
 from ...schemas.places import short_path
 from ...schemas.result.certificate import Certificate
 from ...schemas.result.facts import Header
-from ...schemas.result.verdict import CampaignVerdict
+from ...schemas.result.known import CampaignVerdict
 from ..certificate.words import text
 from ..certificate.words.bound_text import parameter_units
 from ..certificate.words.console_lines import hanging, heading, plain_line
+from ..certificate.words.format import replay_command
+from ..certificate.words.known_text import COLOURS, verdict_lines
 from ..certificate.words.region_text import region_sentences
-from ..run.format import replay_command
-from ..run.verdict import COLOURS, system_file, verdict_lines, verdict_of
+from ..run.known import system_file, verdict_of
 from ..store.export_tables import robustness_unit
 
 OUTPUT = {

@@ -9,20 +9,14 @@ from rich.console import Console
 from rich.text import Text
 
 from ...schemas.errors import one_line
-from ...schemas.file.parts import alpha_of
 from ...schemas.file.problem_models import KrigingProblem
-from ...schemas.result.so_far import SoFar
-from ..certificate import files
+from ...schemas.result.known import SoFar
+from ..certificate.words.format import duration
+from ..certificate.words.known_text import so_far_view
 from ..forecast.outlook import left_in_words, outlook_lines, remaining_tests
-from ..forecast.remaining import budget
-from ..run.continuation import continue_command
-from ..run.display.progress_table import bound_in_sense, legend_lines, progress_table, remaining_distance
-from ..run.display.so_far_text import so_far_view
-from ..run.format import duration
-from ..run.verdict import verdict_of
-from ..store import lock
-from ..store.progress import CampaignProgress, read_progress
-from ..store.so_far import read_so_far
+from ..run.display.progress_table import legend_lines, progress_table
+from ..run.known import known
+from ..store.progress import CampaignProgress
 from .result import print_end
 
 
@@ -33,91 +27,39 @@ def print_status(directory: Path, console: Console) -> None:
         PerfboundError: there is no campaign here, or its database cannot be read.
 
     """
-    found = read_progress(directory)
-    certificate = files.read(directory)
-    running = lock.is_held(directory)
-    config = found.header.config
-    state = _state_word(finished=certificate is not None, running=running)
-    title = Text(config.name, "bold").append(f"  {state}, seed {config.seed}, run {found.header.run}", "not bold")
+    found = known(directory)
+    header, progress, config = found.progress.header, found.progress, found.progress.header.config
+    title = Text(config.name, "bold").append(f"  {found.state}, seed {config.seed}, run {header.run}", "not bold")
     console.print(title, soft_wrap=True)
     rows = []
-    for problem, each in zip(config.problems, found.problems, strict=True):
+    for problem, each in zip(config.problems, progress.problems, strict=True):
         left = remaining_tests(config, problem, each) if each.tests else None
         rows.append((each, "-" if left is None else left_in_words(config, problem, left)))
-    so_far = None if certificate is not None else _so_far_of(directory, found.header.run)
-    if so_far is not None:
-        _print_so_far(so_far, console, running=running)
+    if found.so_far is not None:
+        _print_so_far(found.so_far, console, running=found.running)
     console.print(progress_table(config, rows))
-    if (down := _link_down_for(found, so_far, running=running)) is not None:
+    if (down := found.link_down_for) is not None:
         text = f"the link to the router has been down for {duration(down)}: no rollout can arrive"
         console.print(Text(text, "yellow"), soft_wrap=True)
-    outlooks = outlook_lines(config, found.problems)
-    if certificate is None and any(isinstance(each, KrigingProblem) for each in config.problems):
+    outlooks = outlook_lines(config, progress.problems)
+    if found.certificate is None and any(isinstance(each, KrigingProblem) for each in config.problems):
         outlooks = _planned_outlooks(directory)
-    for line in (*legend_lines(config), *outlooks, *_work(found, running=running)):
+    for line in (*legend_lines(config), *outlooks, *_work(progress, running=found.running)):
         console.print(Text(line), soft_wrap=True)
-    if certificate is not None:
-        print_end(directory, found.header, certificate, console)
-    elif not running:
-        console.print(Text(f"continue with: {continue_command(directory)}"), soft_wrap=True)
+    if found.certificate is not None:
+        print_end(directory, header, found.certificate, console)
+    elif found.resume:
+        console.print(Text(f"continue with: {found.resume}"), soft_wrap=True)
 
 
 def status_object(directory: Path) -> dict[str, Any]:
-    """Return the progress of a campaign as an object for JSON: verdict and forecast of one that runs, or the verdict.
+    """Return the same for programs, as an object for JSON.
 
     Raises:
-        PerfboundError: there is no campaign here, or its database cannot be read.
+        PerfboundError: as `print_status`.
 
     """
-    found, certificate, running = read_progress(directory), files.read(directory), lock.is_held(directory)
-    config = found.header.config
-    so_far = None if certificate is not None else _so_far_of(directory, found.header.run)
-    verdict = None if certificate is None else verdict_of(directory, found.header, certificate)
-    return {
-        "campaign": config.name,
-        "seed": config.seed,
-        "run": found.header.run,
-        "state": _state_word(finished=certificate is not None, running=running),
-        "verdict": verdict.model_dump(mode="json") if verdict else None,
-        "so_far": so_far.model_dump(mode="json") if so_far else None,
-        "problems": [
-            {
-                "name": problem.name,
-                "tests": each.tests,
-                "most_tests": budget(config, problem, each.extended),
-                "rollouts": each.rollouts,
-                "bound": bound_in_sense(config, problem, each),
-                "distance": remaining_distance(config, problem, each),
-                "alpha": alpha_of(config, problem),
-                "stopped_by": each.stopped_by,
-            }
-            for problem, each in zip(config.problems, found.problems, strict=True)
-        ],
-        "rollouts_per_second": found.rate,
-        "router_link_down_for": _link_down_for(found, so_far, running=running),
-        "attempts": {
-            "without_result": found.failures,
-            "failed_in_system": found.system_failures,
-            "handed_back": found.handed_back,
-        },
-        "resume": None if certificate is not None or running else continue_command(directory),
-    }
-
-
-def _so_far_of(directory: Path, run: str) -> SoFar | None:
-    found = read_so_far(directory)
-    return found if found is not None and found.run == run else None
-
-
-def _link_down_for(progress: CampaignProgress, so_far: SoFar | None, *, running: bool) -> float | None:
-    """Return the seconds without a link to the router, by the last file of the session that runs; None with one."""
-    if not running or so_far is None or so_far.link_down_since is None or so_far.at < progress.began:
-        return None
-    return max(0.0, time.time() - so_far.link_down_since)
-
-
-def _state_word(*, finished: bool, running: bool) -> str:
-    return "running" if running else "finished" if finished else "stopped"
+    return known(directory).model().model_dump(mode="json")
 
 
 def _print_so_far(found: SoFar, console: Console, *, running: bool) -> None:

@@ -5,13 +5,13 @@ from dataclasses import dataclass, field
 from ...schemas.file.config import CampaignConfig
 from ...schemas.file.draft import CLIP
 from ...schemas.file.objectives import OBJECTIVES
-from ...schemas.result.verdict import Violations
+from ...schemas.result.known import Violations
 from ...schemas.rollout import RolloutRequest
 from ...schemas.system import SystemSpec, Variant
 from ...schemas.trajectory.trajectory import Trajectory
 from ..campaign.observation import Observer
+from ..certificate.words.known_text import violations_in_words
 from ..certificate.words.refutation_text import margin_words, named_start
-from ..run.verdict import violations_in_words
 from ..store.export_tables import robustness_unit
 
 

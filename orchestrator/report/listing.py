@@ -9,11 +9,11 @@ from typing import Literal
 from rich.text import Text
 
 from ...schemas.errors import PerfboundError, one_line
-from ...schemas.result.verdict import CampaignVerdict, VerdictWord, Violations
+from ...schemas.result.known import CampaignState, CampaignVerdict, VerdictWord, Violations
 from ..certificate import files
-from ..certificate.words.bound_text import outward
-from ..run.format import duration
-from ..run.verdict import COLOURS, verdict_of
+from ..certificate.words.format import duration
+from ..certificate.words.known_text import COLOURS, first_bound
+from ..run.known import state_of, verdict_of
 from ..store import lock
 from ..store.progress import header_alone
 from ..store.robustness import read_number_of_rollouts, read_violations
@@ -24,7 +24,7 @@ DEPTH = 3
 HEAD = ("campaign", "verdict", "first claim", "state", "rollouts", "violations", "changed")
 NUMBERS = ("rollouts", "violations")
 
-ListedState = Literal["running", "stopped", "finished", "damaged"]
+ListedState = CampaignState | Literal["damaged"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +91,7 @@ def read_campaign(directory: Path, changed: float) -> tuple[ListedCampaign, Camp
     """Return the campaign in a run directory, and its verdict where it has one; a damaged one with its fault."""
     try:
         header, certificate, running = header_alone(directory), files.read(directory), lock.is_held(directory)
-        state: ListedState = "running" if running else "finished" if certificate else "stopped"
+        state = state_of(certificate, running=running)
         if certificate is None or running:
             seen, recorded = read_violations(directory, header.claimed_variant), read_number_of_rollouts(directory)
             return ListedCampaign(
@@ -105,7 +105,7 @@ def read_campaign(directory: Path, changed: float) -> tuple[ListedCampaign, Camp
         return ListedCampaign(
             directory, directory.name, "damaged", None, "", 0, None, changed, one_line(str(error))
         ), None
-    bound, violations = _first_claim_of(found), _count_of(found.violations)
+    bound, violations = first_bound(found), _count_of(found.violations)
     refuted = bool(certificate.predicate.claims[0].refuted)
     return ListedCampaign(
         directory, found.campaign, state, found.verdict, bound, recorded, violations, changed, refuted=refuted
@@ -114,11 +114,6 @@ def read_campaign(directory: Path, changed: float) -> tuple[ListedCampaign, Camp
 
 def _count_of(seen: Violations) -> int | None:
     return seen.violations if seen.rollouts else None
-
-
-def _first_claim_of(found: CampaignVerdict) -> str:
-    bound = f"{found.sense} {outward(found.bound, found.sense)} {found.bound_unit}".rstrip()
-    return bound if found.clip is None else f"{bound}, clipped"
 
 
 def listing(campaigns: Sequence[ListedCampaign], now: float) -> Iterator[Text]:

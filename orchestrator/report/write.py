@@ -8,7 +8,7 @@ from pathlib import Path
 from ...schemas import atomic
 from ...schemas.errors import one_line
 from ..certificate.verify.stages import Report
-from ..run.format import resume_command
+from ..certificate.words.format import resume_command
 from ..store import export
 from ..store.files import inside
 from . import html

@@ -11,8 +11,8 @@ from pathlib import Path
 from ...schemas.errors import PerfboundError
 from ...schemas.places import short_path
 from ..certificate import files
+from ..certificate.words.format import resume_command
 from ..store.progress import session_options
-from .format import resume_command
 
 LOCAL_WORKERS = 2
 """Local workers of a command without `--workers`."""

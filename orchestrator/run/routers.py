@@ -4,9 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from ...schemas.link.reminder import Reminder
+from ..certificate.words.format import duration
 from ..fleet.dispatch import events
 from ..fleet.link.transport import Linked, RouterToken
-from .format import duration
 
 UNSEEN = 10.0
 """Seconds for the token of a router, which comes with the link."""

@@ -44,10 +44,10 @@ import time
 
 from ...schemas.link.configuration import LOCAL
 from ...schemas.link.messages import RunFinished
+from ..certificate.words.format import duration
 from ..fleet.link.transport import Heartbeat, Inbound
 from ..store.lock import is_held
 from ..store.read import stored_header
-from .format import duration
 from .link import Link
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from ...schemas.errors import one_line
 from ...schemas.ids import RolloutId
 from ...schemas.result.facts import HANDED_BACK
+from ..certificate.words.format import duration
 from ..fleet.dispatch import events
 from ..fleet.dispatch.opinions import without
 from ..fleet.dispatch.retries import blames_rollout
@@ -14,7 +15,6 @@ from ..fleet.dispatch.standing import FOR_GOOD, Standings
 from ..store import read
 from ..store.attempts import AttemptLog
 from ..store.journal import Journal
-from .format import duration
 
 MOST_NAMED = 5
 """Workers in a line."""

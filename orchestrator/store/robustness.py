@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ...schemas.ids import RECHECK, SHRINK, RolloutId, closing_check, series_order
-from ...schemas.result.verdict import Violations
+from ...schemas.result.known import Violations
 from .readonly import snapshot
 
 _SERIES = "SELECT DISTINCT problem FROM tests"

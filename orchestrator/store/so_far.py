@@ -10,7 +10,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from ...schemas import atomic
-from ...schemas.result.so_far import SoFar
+from ...schemas.result.known import SoFar
 
 NAME = "so-far.json"
 LONGEST = 2**20

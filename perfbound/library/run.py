@@ -15,9 +15,9 @@ from ..orchestrator.certificate import files
 from ..orchestrator.certificate.words import console_lines, text
 from ..orchestrator.run import directory as places
 from ..orchestrator.run import session
+from ..orchestrator.run.known import verdict_of
 from ..orchestrator.run.link import Link
 from ..orchestrator.run.options import RunOptions, check_workers
-from ..orchestrator.run.verdict import verdict_of
 from ..orchestrator.store import export, read
 from ..orchestrator.store.export_tables import robustness_unit
 from ..orchestrator.store.rows import DATABASE, existing
@@ -28,7 +28,7 @@ from ..schemas.link.configuration import LOCAL
 from ..schemas.real_numbers import real_array
 from ..schemas.result.certificate import Predicate
 from ..schemas.result.facts import Header
-from ..schemas.result.verdict import CampaignVerdict
+from ..schemas.result.known import CampaignVerdict
 from ..schemas.trajectory.trajectory import Trajectory
 from .forked import Forked
 from .process import interruptible, output, reproducible

@@ -8,7 +8,7 @@ from ....schemas.file.config import CampaignConfig
 from ....schemas.file.method_spaces import candidates
 from ....schemas.file.problem_models import KernelProblem, Problem
 from ....schemas.result.certificate import CertificateClaim, Predicate, ProblemResult
-from ....schemas.result.verdict import Violations
+from ....schemas.result.known import Violations
 from ....schemas.values import ProblemProgress
 from ...forecast.needed_tests import FOR_A_FORECAST, FURTHEST, NeededTests, needed_samples, needed_tests
 

@@ -12,8 +12,8 @@ from rich.table import Column, Table
 
 from ....schemas import atomic
 from ....schemas.errors import PerfboundError
+from ...certificate.words.format import duration
 from ...mathematics.calibration.trust import KernelTrial
-from ...run.format import duration
 from .budget import RANGE, THOUSAND, BudgetForecast
 from .calibrate import Calibration, CalibrationWish, Report, calibrate_draft
 from .constants import ProblemCalibration, forecast_margin_words

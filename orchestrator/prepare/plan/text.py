@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ....schemas.values import Guess
-from ...run.format import duration
+from ...certificate.words.format import duration
 from .fleet_need import FleetPlan, ProblemSize
 
 Row = tuple[str, str, str, str]

@@ -13,16 +13,16 @@ from ....schemas.file.parts import parts_of
 from ....schemas.ids import CLOSING, closing_check
 from ....schemas.result.certificate import Certificate
 from ....schemas.result.facts import ExtensionFact, Header, ProposalFact
-from ....schemas.result.so_far import SoFar
+from ....schemas.result.known import SoFar
 from ...campaign.observation import of_requirement
 from ...campaign.plan import plans
 from ...certificate import files
 from ...certificate.words.bound_text import parameter_units
+from ...certificate.words.format import replay_command
 from ...certificate.words.text import check_sentences
 from ...run.continuation import command_with
-from ...run.format import replay_command
+from ...run.known import verdict_of
 from ...run.page.page_feed import LiveState
-from ...run.verdict import verdict_of
 from ...store import lock
 from ...store.changes import ChangeReader, Changes, Session
 from ...store.robustness import is_repeated

@@ -3,10 +3,9 @@
 from dataclasses import dataclass
 
 from ....schemas.result.facts import Header
-from ....schemas.result.so_far import SoFar
-from ....schemas.result.verdict import VerdictWord
+from ....schemas.result.known import SoFar, VerdictWord
 from ...certificate.words.bound_text import parameter_units
-from ...run.display.so_far_text import HEAD, bar_words, consequence_of_key, holding_rows, violations_so_far
+from ...certificate.words.known_text import HEAD, bar_words, consequence_of_key, holding_rows, violations_so_far
 from ..data.claims import AssumptionRow, assumption_row
 
 

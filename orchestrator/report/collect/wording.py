@@ -7,16 +7,16 @@ from ....schemas.file.drawn_claims import is_sampled
 from ....schemas.file.objectives import Quantity, Reading
 from ....schemas.result import certificate as document
 from ....schemas.result.facts import Header
-from ....schemas.result.verdict import CampaignVerdict
+from ....schemas.result.known import CampaignVerdict
 from ...campaign.clip import hiding, is_vacuous, reach_of
 from ...certificate.words.bound_text import chance, clip_words, outward, parameter_units
+from ...certificate.words.confidence import anyway, confidence_sentences
+from ...certificate.words.known_text import violation_words
 from ...certificate.words.refutation_text import counterexample_words, refutation_sentence
 from ...certificate.words.text import claim_words, notes, nothing_shown, quantity_words
-from ...run.verdict import violation_words
 from ...store.export_tables import robustness_unit
 from ..data.claims import Claim, VerdictCard
 from ..data.page import Problem
-from .confidence import anyway, confidence_sentences
 
 OF_CLAIM = {each.name for each in fields(Claim)} - {"sentence", "notes"}
 SIGNS = {">=": "≥", "<=": "≤", " -": " \u2212", "rho*": "ρ*"}

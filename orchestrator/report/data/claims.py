@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from ....schemas.file.objectives import Quantity
 from ....schemas.result.certificate import Assumption, Status
-from ....schemas.result.verdict import ByRollouts, VerdictWord
+from ....schemas.result.known import ByRollouts, VerdictWord
 from ...certificate.assumptions.sentences import title
 from ...certificate.words.bound_text import with_named_start
 

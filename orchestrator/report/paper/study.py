@@ -15,9 +15,9 @@ from ....schemas.file.objectives import MethodName, ProblemName
 from ....schemas.file.reader import load_campaign
 from ....schemas.link.configuration import LOCAL
 from ...certificate import files
+from ...certificate.words.format import duration
 from ...run import session
 from ...run.directory import stored_differently
-from ...run.format import duration
 from ...run.link import Link
 from ...run.options import RunOptions
 from ...store.rows import DATABASE

@@ -8,7 +8,7 @@ from ....schemas.errors import EvidenceError, PerfboundError, TrajectoryError
 from ....schemas.file.problem_models import Problem
 from ....schemas.result.facts import Header, RolloutFact
 from ....schemas.trajectory.trajectory import File, read_mcap
-from ...run.format import replay_command
+from ...certificate.words.format import replay_command
 from ...store import files
 from ...store.export_tables import robustness_unit
 from ..data.rollouts import Curve, DrawnRollout, Rollout, RolloutsOfTest

@@ -15,10 +15,11 @@ from urllib.parse import quote
 
 from ....schemas.errors import PerfboundError, shortened
 from ....schemas.result.facts import Header
-from ....schemas.result.verdict import CampaignVerdict, VerdictWord
+from ....schemas.result.known import CampaignVerdict, VerdictWord
 from ....schemas.values import ProblemProgress
 from ...certificate.files import CERTIFICATE
 from ...certificate.words.bound_text import in_unit, outward
+from ...certificate.words.known_text import required_bound
 from ...forecast.remaining import budget
 from ...run.display.progress_table import bound_in_sense
 from ...store import lock
@@ -250,11 +251,10 @@ def _listed_row(row: IndexRow, listed: ListedCampaign) -> IndexRow:
 
 
 def _finished_row(row: IndexRow, listed: ListedCampaign, found: CampaignVerdict) -> IndexRow:
-    required = "" if found.required is None else f"{found.sense} {found.required:g} {found.bound_unit}".rstrip()
     return replace(
         _listed_row(row, listed),
         value=found.bound,
-        required=shortened(required),
+        required=shortened(required_bound(found)),
         claim=shortened(found.claim),
         refuted=listed.refuted,
         reason=shortened(found.reasons[0]) if found.verdict != "SHOWN" and found.reasons else "",

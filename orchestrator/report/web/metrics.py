@@ -23,8 +23,7 @@ from prometheus_client.registry import Collector as MetricSource
 
 from ....schemas import __version__
 from ....schemas.result.facts import HANDED_BACK, NO_FAILURE
-from ....schemas.result.so_far import Span
-from ....schemas.result.verdict import VerdictWord
+from ....schemas.result.known import Span, VerdictWord
 from ....schemas.values import Bound, ProblemProgress
 from ...fleet.dispatch.state import WorkerPhase
 from ...run.display.progress_table import bound_in_sense

@@ -5,10 +5,9 @@ from pathlib import Path
 
 from ....schemas.result.certificate import Certificate
 from ....schemas.result.facts import Header
-from ....schemas.result.so_far import Expected, SoFar
-from ....schemas.result.verdict import VerdictWord
+from ....schemas.result.known import Expected, SoFar, VerdictWord
 from ...certificate import files
-from ...run.verdict import verdict_of
+from ...run.known import verdict_of
 from ...store import lock
 from ...store.counts import CampaignCounts, CountReader
 from ...store.so_far import read_so_far

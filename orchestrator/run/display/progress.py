@@ -14,15 +14,15 @@ from ....schemas.file.config import CampaignConfig
 from ....schemas.file.parts import alpha_of
 from ....schemas.file.problem_models import Problem
 from ....schemas.result.certificate import Assumption
-from ....schemas.result.so_far import SoFar
+from ....schemas.result.known import SoFar
 from ....schemas.values import ProblemProgress
+from ...certificate.words.format import ENDS, duration, figure
+from ...certificate.words.known_text import refutation_line, so_far_line, so_far_view
 from ...forecast.outlook import outlook_lines, remaining_tests
-from ..format import ENDS, duration, figure
 from ..routers import is_down
 from ..service import RunStatus
 from .json_lines import JsonLines
 from .progress_table import LEGEND, bound_in_sense, bound_text, legend_lines, progress_table, remaining_distance
-from .so_far_text import refutation_line, so_far_line, so_far_view
 from .systemd import Systemd
 
 PLAIN_PERIOD = 10.0

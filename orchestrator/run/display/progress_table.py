@@ -11,8 +11,8 @@ from ....schemas.ids import RECHECK, RISK_CHECK, SHRINK, SPOT_CHECK, closing_che
 from ....schemas.values import ProblemProgress
 from ...campaign.clip import by_clip, floored
 from ...certificate.words.bound_text import outward
+from ...certificate.words.format import ENDS, figure
 from ...forecast import remaining
-from ..format import ENDS, figure
 
 LEGEND = (
     "F: width of the confidence band at the start of a test, before its outcome; it may rise from test to test, and a "

@@ -9,8 +9,7 @@ from typing import Protocol
 
 from ....schemas.errors import one_line
 from ....schemas.result.certificate import Assumption
-from ....schemas.result.so_far import Expected, SoFar
-from ....schemas.result.verdict import Violations
+from ....schemas.result.known import Expected, SoFar, Violations
 from ...campaign import consistency
 from ...campaign.bounded_parts import bounded_accounts
 from ...campaign.closing.recheck import Recheck

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from ....schemas.file.config import CampaignConfig
 from ....schemas.file.problem_models import KrigingProblem, PaperProblem, Problem, SampleProblem
 from ....schemas.ids import RECHECK, SPOT_CHECK, closing_check
-from ....schemas.result.so_far import Expected, Span
-from ....schemas.result.verdict import VerdictWord
+from ....schemas.result.known import Expected, Span, VerdictWord
 from ....schemas.values import Guess, ProblemProgress
 from ...campaign.clip import by_clip, floored
 from ...certificate.bases import bases

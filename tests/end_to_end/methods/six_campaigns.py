@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from perfbound.schemas.result.verdict import VerdictWord
+from perfbound.schemas.result.known import VerdictWord
 
 SYSTEM = '''"""A car brakes behind another one, after a reaction time that may vary."""
 

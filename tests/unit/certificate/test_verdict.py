@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from perfbound.orchestrator.certificate import counter_evidence, files
+from perfbound.orchestrator.certificate.words.known_text import verdict_lines, violation_words
 from perfbound.orchestrator.run.extend import extend_campaign
-from perfbound.orchestrator.run.verdict import verdict_lines, verdict_of, violation_words
+from perfbound.orchestrator.run.known import verdict_of
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.read import stored_header
-from perfbound.schemas.result.verdict import CampaignVerdict
+from perfbound.schemas.result.known import CampaignVerdict
 from perfbound.schemas.rollout import RolloutRequest
 from tests.fakes.simulators import Function, noise, robustness, simulate, spec
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from perfbound.orchestrator.certificate.words.format import resume_command
 from perfbound.orchestrator.cli import entry  # noqa: F401  (it adds the commands)
 from perfbound.orchestrator.cli.group import cli
-from perfbound.orchestrator.run.format import resume_command
 from perfbound.orchestrator.store.lock import campaign_lock
 from perfbound.schemas.errors import PerfboundError
 from perfbound.schemas.file.reader import load_campaign

@@ -8,7 +8,7 @@ import pytest
 
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.words import text
-from perfbound.orchestrator.run.verdict import verdict_of
+from perfbound.orchestrator.run.known import verdict_of
 from perfbound.orchestrator.store.read import stored_header
 from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.rollout import RolloutRequest

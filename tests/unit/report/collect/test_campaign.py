@@ -15,13 +15,13 @@ from hypothesis import strategies as st
 
 from perfbound.orchestrator.campaign.methods import methods
 from perfbound.orchestrator.campaign.plan import UNBOUNDED, plans
+from perfbound.orchestrator.certificate.words.format import replay_command
 from perfbound.orchestrator.mathematics.gp.lattice import MAX_NODES, Lattice
 from perfbound.orchestrator.report.collect import band as surfaces
 from perfbound.orchestrator.report.collect.campaign import Collector
 from perfbound.orchestrator.report.collect.workers import MOST_FAILED, WorkerStatistics
 from perfbound.orchestrator.report.data.page import Problem, ReportData, to_json
 from perfbound.orchestrator.report.rollout import curves, of_tests
-from perfbound.orchestrator.run.format import replay_command
 from perfbound.orchestrator.run.page.page_feed import LiveState
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.changes import AttemptOutcome, ChangeReader, Changes, Session

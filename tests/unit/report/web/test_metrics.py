@@ -34,7 +34,7 @@ from perfbound.orchestrator.run.service import RunStatus
 from perfbound.orchestrator.store.commit_times import CommitTimes
 from perfbound.orchestrator.store.counts import CampaignCounts
 from perfbound.orchestrator.store.rows import DATABASE
-from perfbound.schemas.result.so_far import Expected, Span
+from perfbound.schemas.result.known import Expected, Span
 from tests.campaigns import config
 from tests.fakes.inmemory import Log, campaign
 from tests.fakes.interleaving import meanwhile

@@ -16,22 +16,22 @@ from rich.console import Console
 from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.so_far import AuditSoFar, Holding
-from perfbound.orchestrator.cli.status import print_status, status_object
-from perfbound.orchestrator.report.collect.campaign import Collector
-from perfbound.orchestrator.run import service
-from perfbound.orchestrator.run.display.progress import PLAIN_PERIOD, Plain
-from perfbound.orchestrator.run.display.so_far import Pace, SoFarListener
-from perfbound.orchestrator.run.display.so_far_text import (
+from perfbound.orchestrator.certificate.words.known_text import (
     bar_words,
     holding_rows,
     left_words,
     refutation_line,
     so_far_line,
 )
+from perfbound.orchestrator.cli.status import print_status, status_object
+from perfbound.orchestrator.report.collect.campaign import Collector
+from perfbound.orchestrator.run import service
+from perfbound.orchestrator.run.display.progress import PLAIN_PERIOD, Plain
+from perfbound.orchestrator.run.display.so_far import Pace, SoFarListener
 from perfbound.orchestrator.run.display.time_left import RolloutCounts, expected, expected_verdict
+from perfbound.orchestrator.run.known import verdict_of
 from perfbound.orchestrator.run.routers import RouterLink
 from perfbound.orchestrator.run.service import RunStatus
-from perfbound.orchestrator.run.verdict import verdict_of
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.lock import campaign_lock
@@ -40,7 +40,7 @@ from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.file.reader import parse_campaign
 from perfbound.schemas.ids import closing_check
 from perfbound.schemas.result.certificate import Assumption
-from perfbound.schemas.result.so_far import Expected, SoFar, Span
+from perfbound.schemas.result.known import Expected, SoFar, Span
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.values import MARKED, Bound, ProblemProgress
 from tests.campaigns import FOLDER

@@ -1,4 +1,4 @@
-"""What a run has shown so far, in words: two rows, one for now and one for the end, for terminal, status and page."""
+"""What is known of a campaign, in words: for the terminal, `status`, `show`, the live page and the report."""
 
 import math
 from collections.abc import Iterator
@@ -11,12 +11,12 @@ from rich.text import Text
 
 from ....schemas.errors import one_line
 from ....schemas.result.certificate import Assumption
-from ....schemas.result.so_far import Expected, SoFar, Span
-from ...certificate.words.bound_text import in_unit, outward
-from ...certificate.words.refutation_text import margin_words
-from ..format import duration
-from ..verdict import COLOURS, violations_in_words
+from ....schemas.result.known import CampaignVerdict, Expected, SoFar, Span, VerdictWord, Violations
+from .bound_text import in_unit, outward
+from .format import duration
+from .refutation_text import margin_words
 
+COLOURS: dict[VerdictWord, str] = {"SHOWN": "green", "VIOLATED": "red", "NOT SHOWN": "yellow"}
 HEAD = ("", "bound", "probability", "tests", "verdict")
 
 
@@ -125,6 +125,54 @@ def _expected_bound(found: SoFar) -> str:
 def _span_words(span: Span) -> str:
     low, high = math.floor(span.low), math.ceil(span.high)
     return f"{low:,}" if low == high else f"about {round(span.middle):,} ({low:,} to {high:,})"
+
+
+# The verdict on a finished campaign
+
+
+def verdict_lines(found: CampaignVerdict) -> Iterator[str]:
+    """Yield the verdict, its reasons, what would help, and how many rollouts violate the specification."""
+    yield f"VERDICT  {found.verdict}"
+    # The number of a claim that does not answer the question comes after the answer.
+    yield from (f"{found.claim}.", *found.reasons) if found.verdict == "SHOWN" else (*found.reasons, f"{found.claim}.")
+    for sentence in found.advice:
+        yield f"What would help: {sentence[0].lower()}{sentence[1:]}"
+    if count := violation_words(found):
+        yield count
+
+
+def first_bound(found: CampaignVerdict) -> str:
+    """Return the bound of the first claim with its sense and unit, rounded to the safe side."""
+    bound = f"{found.sense} {outward(found.bound, found.sense)} {found.bound_unit}".rstrip()
+    return bound if found.clip is None else f"{bound}, clipped"
+
+
+def required_bound(found: CampaignVerdict) -> str:
+    """Return what the file requires of it; empty where that is nothing."""
+    return "" if found.required is None else f"{found.sense} {found.required:g} {found.bound_unit}".rstrip()
+
+
+def violations_in_words(seen: Violations) -> str:
+    """Return how many rollouts violate the specification.
+
+    >>> violations_in_words(Violations(rollouts=320, violations=1, starts=9, violating_starts=1, least=-1, rollout="a"))
+    '1 of 320 rollouts violates the specification'
+    """
+    verb = "violates" if seen.violations == 1 else "violate"
+    return f"{seen.violations:,} of {seen.rollouts:,} rollouts {verb} the specification"
+
+
+def violation_words(found: CampaignVerdict) -> str:
+    """Return how many rollouts violate the specification; empty where none has a robustness."""
+    seen = found.violations
+    if not seen.rollouts or seen.least is None:
+        return ""
+    margin = margin_words(seen.least, found.unit)
+    worst = f"the worst {margin}, or lower: the clip" if found.clipped else f"the worst {margin}"
+    count = violations_in_words(seen)
+    if not seen.violations:
+        return f"{count}; {worst}."
+    return f"{count}, at {seen.violating_starts:,} of {seen.starts:,} starts, {worst}."
 
 
 # As a table of two rows, a progress bar, and the tested assumptions

@@ -4,8 +4,8 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from ...schemas.places import short_path
-from ...schemas.result.facts import Header
+from ....schemas.places import short_path
+from ....schemas.result.facts import Header
 
 ENDS = {
     "converged": "alpha reached",

@@ -5,10 +5,10 @@ from collections.abc import Iterator
 from ....schemas.errors import one_line
 from ....schemas.file.objectives import Quantity
 from ....schemas.result.certificate import CertificateClaim, MostStarts, Predicate, Sensitivity
-from ....schemas.result.verdict import ByRollouts, CampaignVerdict
+from ....schemas.result.known import ByRollouts, CampaignVerdict
 from ...campaign.clip import is_vacuous
-from ...certificate.words.bound_text import outward
-from ...certificate.words.text import is_irreproducible, margin_at_most_starts
+from .bound_text import outward
+from .text import is_irreproducible, margin_at_most_starts
 
 CHANGES = {
     ("rkhs_norm", 2.0): "With a norm bound B twice as large the same tests prove",

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from perfbound.orchestrator.report.collect.confidence import anyway, confidence_sentences
+from perfbound.orchestrator.certificate.words.confidence import anyway, confidence_sentences
 from perfbound.schemas.result.certificate import (
     Assumption,
     CertificateClaim,
@@ -11,7 +11,7 @@ from perfbound.schemas.result.certificate import (
     Sensitivity,
     SpotCheck,
 )
-from perfbound.schemas.result.verdict import ByRollouts, CampaignVerdict, VerdictWord, Violations
+from perfbound.schemas.result.known import ByRollouts, CampaignVerdict, VerdictWord, Violations
 from tests.unit.certificate.words.test_text import a_certificate
 
 NONE = Violations(rollouts=3, violations=0, starts=3, violating_starts=0, least=1.0, rollout="a")
