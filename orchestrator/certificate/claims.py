@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from ...schemas.file.bases import Basis, bases
 from ...schemas.file.composition import PAIR, Rule, composes
 from ...schemas.file.config import CampaignConfig
 from ...schemas.file.drawn_claims import SAMPLED
@@ -22,7 +23,6 @@ from ..mathematics.bounds.composition import (
 from ..mathematics.bounds.rigorous.method import RigorousMethod
 from ..mathematics.bounds.rounding import round_down, round_up
 from ..mathematics.bounds.sample import SampleMethod
-from .bases import Basis, bases
 from .problem_results import confidence
 
 Results = Mapping[str, document.ProblemResult]

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
 
 from ...schemas.base import digest
+from ...schemas.file.bases import bases
 from ...schemas.ids import RolloutId
 from ...schemas.result import certificate as document
 from ...schemas.result.facts import DiscardFact, Header
@@ -14,7 +15,6 @@ from ..campaign.counterexample import counterexample
 from ..campaign.ledger import Ledger, observed_discards
 from .assumptions.audit import ClosingResults, assumptions
 from .assumptions.opinions import workers_honest
-from .bases import bases
 from .claims import Results, claims, of_listed_starts
 from .closing_checks import recheck, spot_check
 from .problem_results import result

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from ...schemas.file.bases import Basis, bases
 from ...schemas.file.composition import composes
 from ...schemas.file.config import CampaignConfig
 from ...schemas.file.problem_models import KernelProblem, RigorousProblem
@@ -17,7 +18,6 @@ from ..campaign.methods import Methods, ProblemMethod, kernel_method
 from ..campaign.plan import Plans, ProblemPlan
 from ..campaign.series import Account
 from ..mathematics.bounds.rounding import decimal
-from .bases import Basis, bases
 from .claims import Results, bound
 from .problem_results import in_sense
 

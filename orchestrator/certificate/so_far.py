@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from ...schemas.file.bases import bases
 from ...schemas.result.certificate import Assumption, Predicate
 from ...schemas.result.facts import Header
 from ...schemas.result.known import CampaignVerdict, Violations
@@ -19,7 +20,6 @@ from ..mathematics.bounds.sample import SampleMethod
 from .assumptions.audit import ClosingResults, assumptions
 from .assumptions.sampled import noisy_variants, one_law
 from .assumptions.sentences import assumption
-from .bases import bases
 from .claims import Results, claims, of_listed_starts
 from .closing_checks import recheck, spot_check
 from .counter_evidence import Values

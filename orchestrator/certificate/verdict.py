@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
+from ...schemas.file.bases import bases
 from ...schemas.file.config import CampaignConfig
 from ...schemas.file.drawn_claims import PROBABILITIES, is_sampled
 from ...schemas.file.parts import parts_of
@@ -12,7 +13,6 @@ from ...schemas.result.certificate import CertificateClaim, Predicate
 from ...schemas.result.facts import Header
 from ...schemas.result.known import CampaignVerdict, Violations
 from ..campaign.clip import SAME
-from .bases import bases
 from .counter_evidence import (
     SAY_LIMIT,
     WORST,

@@ -5,10 +5,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from ....schemas.file.bases import bases
 from ....schemas.file.composition import composes
 from ....schemas.file.config import CampaignConfig
 from ...campaign.plan import ProblemPlan, value_range
-from ...certificate.bases import bases
 from .observed import signed
 
 

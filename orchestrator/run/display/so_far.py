@@ -19,13 +19,13 @@ from ...campaign.methods import Methods
 from ...campaign.series import Account
 from ...certificate.so_far import AuditSoFar, Holding, claims_nothing_yet
 from ...certificate.words.bound_text import parameter_units, with_named_start
+from ...forecast.campaign_end import RolloutCounts, expected, expected_verdict
 from ...store import read
 from ...store.export_tables import robustness_unit
 from ...store.robustness import read_values, read_violations
 from ...store.so_far import write_so_far
 from ..routers import is_down
 from ..service import RunStatus
-from .time_left import RolloutCounts, expected, expected_verdict
 
 PERIOD = 2.0
 """Seconds between two files at least."""

@@ -24,11 +24,11 @@ from perfbound.orchestrator.certificate.words.known_text import (
     so_far_line,
 )
 from perfbound.orchestrator.cli.status import print_status, status_object
+from perfbound.orchestrator.forecast.campaign_end import RolloutCounts, expected, expected_verdict
 from perfbound.orchestrator.report.collect.campaign import Collector
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.run.display.progress import PLAIN_PERIOD, Plain
 from perfbound.orchestrator.run.display.so_far import Pace, SoFarListener
-from perfbound.orchestrator.run.display.time_left import RolloutCounts, expected, expected_verdict
 from perfbound.orchestrator.run.known import verdict_of
 from perfbound.orchestrator.run.routers import RouterLink
 from perfbound.orchestrator.run.service import RunStatus

@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass
 
-from ...schemas.file.composition import PAIR, ClaimRule, Rule, composed_claims
-from ...schemas.file.config import CampaignConfig
-from ...schemas.file.method_spaces import candidates
-from ...schemas.file.parts import parts_of
+from .composition import PAIR, ClaimRule, Rule, composed_claims
+from .config import CampaignConfig
+from .method_spaces import candidates
+from .parts import parts_of
 
 
 @dataclass(frozen=True, slots=True)

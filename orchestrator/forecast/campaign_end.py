@@ -3,15 +3,15 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from ....schemas.file.config import CampaignConfig
-from ....schemas.file.problem_models import KrigingProblem, PaperProblem, Problem, SampleProblem
-from ....schemas.ids import RECHECK, SPOT_CHECK, closing_check
-from ....schemas.result.known import Expected, Span, VerdictWord
-from ....schemas.values import Guess, ProblemProgress
-from ...campaign.clip import by_clip, floored
-from ...certificate.bases import bases
-from ...forecast.outlook import problem_outlook, remaining_tests
-from ...forecast.remaining import budget
+from ...schemas.file.bases import bases
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.problem_models import KrigingProblem, PaperProblem, Problem, SampleProblem
+from ...schemas.ids import RECHECK, SPOT_CHECK, closing_check
+from ...schemas.result.known import Expected, Span, VerdictWord
+from ...schemas.values import Guess, ProblemProgress
+from ..campaign.clip import by_clip, floored
+from .outlook import problem_outlook, remaining_tests
+from .remaining import budget
 
 NEARLY_DONE = 0.99
 """The share before the end: a forecast that is too small must not call a campaign done."""
