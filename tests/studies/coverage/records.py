@@ -61,9 +61,13 @@ def _imported(name: str) -> set[str]:
     while left:
         one = left.pop()
         found.add(one)
-        nodes = [node for node in ast.walk(ast.parse(_source(one))) if isinstance(node, ast.ImportFrom) and node.module]
-        names = {n for node in nodes for n in (node.module, *(f"{node.module}.{each.name}" for each in node.names))}
-        left |= {str(n) for n in names if _file(str(n)).is_file()} - found
+        nodes = [node for node in ast.walk(ast.parse(_source(one))) if isinstance(node, ast.ImportFrom)]
+        for node in nodes:
+            # Imports inside the product are relative.
+            home = one.rsplit(".", node.level)[0] + "." if node.level else ""
+            base = f"{home}{node.module or ''}".rstrip(".")
+            names = (base, *(f"{base}.{each.name}" for each in node.names))
+            left |= {name for name in names if _file(name).is_file()} - found
     return found
 
 
