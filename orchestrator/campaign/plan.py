@@ -3,7 +3,11 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
+import numpy as np
+
+from ...schemas.errors import CampaignError
 from ...schemas.file.config import CampaignConfig
 from ...schemas.file.drawn_claims import SAMPLED, DrawnClaim
 from ...schemas.file.objectives import OBJECTIVES, Objective, ProblemName, Reading, Sense, Statement, rolled_out
@@ -15,11 +19,14 @@ from ...schemas.system import SystemSpec, Variant
 from ..mathematics.bounds.composition import derived_noise_scale
 from ..mathematics.bounds.one_law.risk import least_without_risk, linearised_range
 from ..mathematics.bounds.rounding import round_up
+from ..mathematics.distributions import to_digits
 from ..mathematics.gp.lattice import Lattice
 from ..mathematics.gp.points import Points
+from ..mathematics.sobol import sobol_blocks
 from ..mathematics.stl.reach import ANY, Range
 from .clip import hiding, reach_of
-from .starts import spread_points
+from .region import Start, condition
+from .starts import DIGITS, LEAST_SHARE
 
 UNBOUNDED = (-math.inf, math.inf)
 """The clip of a campaign that has none."""
@@ -304,4 +311,45 @@ def _hoeffding(
         deterministic_nominal=rolled_out(problem.name, spec)[0] not in spec.noisy,
         common_seeds=False,
         lipschitz=gap.lipschitz if compared else 1.0,
+    )
+
+
+# Fixed starts that methods choose from where no lattice covers the box
+
+
+@lru_cache(maxsize=4)
+def spread_points(
+    parameters: tuple[str, ...], ends: tuple[tuple[float, float], ...], count: int, where: str | None
+) -> Points:
+    """Return the first `count` points of the Sobol sequence over a box that are in its region, if it has one.
+
+    `ends` are low and high of each parameter, in their order. Coordinates are rounded to `DIGITS` digits as those of
+    drawn starts, so that all machines have the same ones.
+
+    Raises:
+        CampaignError: almost nothing of the box is in the region.
+        ValueError: `where` is no condition.
+
+    """
+    admitted = condition(where, parameters)
+    low, high = np.array(ends).T
+    found: dict[Start, None] = {}
+    most = 2 * count / LEAST_SHARE
+    # Unscrambled, and the first ones first: a larger number of candidates repeats a smaller one.
+    for number, shares in enumerate(sobol_blocks(len(parameters)), start=1):
+        values = low + shares * (high - low)
+        # The region first, to round few points of many; and once more, because rounding may leave it.
+        if admitted is not None:
+            values = values[admitted(values)]
+        columns = [to_digits(values[:, k], *each, DIGITS) for k, each in enumerate(ends)]
+        starts = list(zip(*columns, strict=True))
+        inside = [True] * len(starts) if admitted is None else admitted(starts).tolist()
+        found |= {start: None for start, kept in zip(starts, inside, strict=True) if kept}
+        if len(found) >= count:
+            return Points(tuple(found)[:count])
+        if number * len(shares) > most:
+            break
+    raise CampaignError(
+        f"space.where: only {len(found)} of the {count} candidates are in the region; give fewer, or choose narrower "
+        "ranges"
     )

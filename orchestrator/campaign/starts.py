@@ -1,9 +1,8 @@
-"""Starts: drawn from the distribution of `[space]`, spread evenly over its box, and the nearest allowed one."""
+"""Starts: drawn from the distribution of `[space]`, and the nearest allowed one."""
 
 import itertools
 import math
 from collections.abc import Callable, Collection, Sequence
-from functools import lru_cache
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -13,7 +12,6 @@ from ...schemas.file.parameters import parameter_ranges
 from ...schemas.file.space import Box, Range, StartTable
 from ...schemas.result.facts import Header
 from ..mathematics.distributions import to_digits, truncated
-from ..mathematics.gp.points import Points
 from ..mathematics.sobol import BLOCK as BLOCK_OF_SOBOL
 from ..mathematics.sobol import sobol_blocks
 from .region import Start, condition
@@ -245,44 +243,3 @@ def _nearest(given: Range) -> Callable[[float], float]:
         # 15 digits: 0.1 + 2 * 0.1 is 0.3, as written.
         return lambda value: min(max(float(f"{low + round((value - low) / step) * step:.15g}"), low), high)
     return lambda value: to_digits(np.array([value]), low, high, DIGITS)[0]
-
-
-# Fixed starts that methods choose from where no lattice covers the box
-
-
-@lru_cache(maxsize=4)
-def spread_points(
-    parameters: tuple[str, ...], ends: tuple[tuple[float, float], ...], count: int, where: str | None
-) -> Points:
-    """Return the first `count` points of the Sobol sequence over a box that are in its region, if it has one.
-
-    `ends` are low and high of each parameter, in their order. Coordinates are rounded to `DIGITS` digits as those of
-    drawn starts, so that all machines have the same ones.
-
-    Raises:
-        CampaignError: almost nothing of the box is in the region.
-        ValueError: `where` is no condition.
-
-    """
-    admitted = condition(where, parameters)
-    low, high = np.array(ends).T
-    found: dict[Start, None] = {}
-    most = 2 * count / LEAST_SHARE
-    # Unscrambled, and the first ones first: a larger number of candidates repeats a smaller one.
-    for number, shares in enumerate(sobol_blocks(len(parameters)), start=1):
-        values = low + shares * (high - low)
-        # The region first, to round few points of many; and once more, because rounding may leave it.
-        if admitted is not None:
-            values = values[admitted(values)]
-        columns = [to_digits(values[:, k], *each, DIGITS) for k, each in enumerate(ends)]
-        starts = list(zip(*columns, strict=True))
-        inside = [True] * len(starts) if admitted is None else admitted(starts).tolist()
-        found |= {start: None for start, kept in zip(starts, inside, strict=True) if kept}
-        if len(found) >= count:
-            return Points(tuple(found)[:count])
-        if number * len(shares) > most:
-            break
-    raise CampaignError(
-        f"space.where: only {len(found)} of the {count} candidates are in the region; give fewer, or choose narrower "
-        "ranges"
-    )

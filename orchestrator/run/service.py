@@ -25,7 +25,7 @@ from ..fleet.dispatch.limits import Limits
 from ..fleet.dispatch.state import DispatchState, Worker
 from ..fleet.link.inbox import Inbox
 from ..fleet.link.transport import Garbage, Heartbeat, Inbound, Linked, Result, RouterToken, Token, Transport
-from ..forecast.outlook import PlannedOutlooks
+from ..forecast.planned_outlook import PlannedOutlooks
 from ..store.commit_times import CommitTimes
 from ..store.journal import Journal
 from ..store.stop_request import take_request

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..errors import one_line
-from .config import CampaignConfig
 
 BARE = re.compile(r"[A-Za-z0-9_-]+")
 
@@ -78,20 +77,3 @@ def toml_comment(text: str, width: int = 100) -> list[str]:
     ['# length scales, half of', '# each range']
     """
     return [f"# {line}" for line in textwrap.wrap(one_line(text), width - 2, break_on_hyphens=False)]
-
-
-def campaign_text(config: CampaignConfig) -> str:
-    """Return a campaign file with all keys that differ from their defaults; read again, it is the same campaign."""
-    found: dict[str, Any] = _without_null(config.model_dump(mode="json", exclude_defaults=True))
-    return toml_file(found)
-
-
-def _without_null(value: Any) -> Any:
-    """Return a value without the keys that have none: TOML has no null, and none of them has another default."""
-    match value:
-        case dict():
-            return {key: _without_null(each) for key, each in value.items() if each is not None}
-        case list():
-            return [_without_null(each) for each in value]
-        case _:
-            return value

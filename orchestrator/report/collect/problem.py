@@ -22,7 +22,8 @@ from ...campaign.clip import by_clip, floored
 from ...campaign.methods import PartMethod, ProblemMethod, method
 from ...campaign.plan import ProblemPlan
 from ...certificate.problem_results import objective
-from ...forecast.outlook import PlannedOutlooks, in_words, left_in_words, remaining_tests
+from ...forecast.outlook import in_words, left_in_words, remaining_tests
+from ...forecast.planned_outlook import PlannedOutlooks
 from ...mathematics.bounds.sample import SampleMethod
 from ...store.changes import Decision
 from ...store.export_tables import robustness_unit, unit

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from ....schemas.file.toml_text import campaign_text
+from ....schemas.file.config import campaign_text
 from ....schemas.result.facts import Header
 from ...store.changes import Session
 

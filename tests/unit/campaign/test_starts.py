@@ -19,9 +19,9 @@ from scipy.stats import qmc
 from perfbound.orchestrator.campaign.checks import check
 from perfbound.orchestrator.campaign.closing.spot_check import _uniform_starts
 from perfbound.orchestrator.campaign.consistency import scope
-from perfbound.orchestrator.campaign.plan import plans
+from perfbound.orchestrator.campaign.plan import plans, spread_points
 from perfbound.orchestrator.campaign.seeds import uniform
-from perfbound.orchestrator.campaign.starts import BLOCK, Draws, check_distributions, spread_points
+from perfbound.orchestrator.campaign.starts import BLOCK, Draws, check_distributions
 from perfbound.orchestrator.mathematics.gp import points as lists
 from perfbound.orchestrator.mathematics.gp.kernels import Matern
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice
@@ -257,7 +257,7 @@ def test_those_of_a_region_are_inside_and_as_many() -> None:
 
 
 def test_a_region_of_almost_nothing_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("perfbound.orchestrator.campaign.starts.LEAST_SHARE", 0.5)
+    monkeypatch.setattr("perfbound.orchestrator.campaign.plan.LEAST_SHARE", 0.5)
     with pytest.raises(CampaignError, match=r"^space\.where: only \d+ of the 400 candidates are in the region; give"):
         spread_points(("a", "b"), SQUARE, 400, "a > 0.95 and b > 4")
 

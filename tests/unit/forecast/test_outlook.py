@@ -12,15 +12,15 @@ from hypothesis import strategies as st
 
 from perfbound.orchestrator.campaign import plan as plans
 from perfbound.orchestrator.campaign.ledger import Ledger
-from perfbound.orchestrator.forecast import outlook as planned_outlook
+from perfbound.orchestrator.forecast import planned_outlook
 from perfbound.orchestrator.forecast.outlook import (
     CoursePoint,
-    PlannedOutlooks,
     count_words,
     in_words,
     outlook,
     outlook_lines,
 )
+from perfbound.orchestrator.forecast.planned_outlook import PlannedOutlooks
 from perfbound.orchestrator.report.collect.campaign import Collector
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.progress import read_progress

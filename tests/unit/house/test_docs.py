@@ -72,11 +72,11 @@ def test_paths_exist(page: Path) -> None:
         assert (ROOT / path).exists(), path
 
 
-def test_the_rooms_of_the_architecture_page_are_the_layers_that_are_checked() -> None:
-    """By name and order: one room per row of the table."""
+def test_the_tree_of_the_architecture_page_is_the_layers_that_are_checked() -> None:
+    """By name and order: one room per line of the tree."""
     rules = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"][0]["layers"]
-    table = (ROOT / "docs/architecture.md").read_text().partition("| room |")[2].partition("\n\n")[0]
-    assert re.findall(r"^\| `(\w+)`", table, re.MULTILINE) == [room for layer in rules for room in layer.split(" : ")]
+    tree = (ROOT / "docs/architecture.md").read_text().partition("```text\n")[2].partition("```")[0]
+    assert re.findall(r"^  (\w+)/", tree, re.MULTILINE) == [room for layer in rules for room in layer.split(" | ")]
 
 
 def test_the_function_of_the_docs_is_the_shipped_example() -> None:

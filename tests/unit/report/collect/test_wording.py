@@ -4,7 +4,7 @@ from perfbound.orchestrator.report.collect.provenance import MOST_NAMED, provena
 from perfbound.orchestrator.report.collect.wording import question_words
 from perfbound.orchestrator.report.data.claims import assumption_row
 from perfbound.orchestrator.store.changes import Session
-from perfbound.schemas.file.toml_text import campaign_text
+from perfbound.schemas.file.config import campaign_text
 from perfbound.schemas.result.certificate import Assumption
 from perfbound.schemas.result.facts import Header
 from perfbound.workers.systems import load_system

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from perfbound.schemas.file.config import campaign_text
 from perfbound.schemas.file.reader import load_campaign
-from perfbound.schemas.file.toml_text import campaign_text
 
 ROOT = Path(__file__).parents[4]
 FILES = sorted((*ROOT.glob("deploy/campaigns/*.toml"), ROOT / "deploy/examples/cars/cars.toml"))
