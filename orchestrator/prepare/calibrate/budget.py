@@ -27,7 +27,7 @@ from ...mathematics.bounds.kriging.method import KrigingMethod
 from ...mathematics.calibration.kernel_fit import KernelFit
 from ...mathematics.gp.kernels import Floats
 from ..init.constants import PARTS
-from ..init.size import LEAST_COST, PER_SECOND, WORKERS
+from ..size import LEAST_COST, PER_SECOND, WORKERS
 from .constants import Constant, ProblemEvidence
 
 # How long the rollouts of a calibrated campaign take.

@@ -5,7 +5,7 @@ from typing import Any
 
 from ....schemas.file.defaults import leaves_out_problems
 from ....schemas.file.toml_text import toml_comment, toml_key, toml_value
-from ..init.size import first_samples
+from ..size import first_samples
 from .constants import Constant
 
 KEPT = (

@@ -71,8 +71,6 @@ NORM_FACTOR = 2.0
 """The campaign sees more of the objective than a pilot, and finds larger norms."""
 NOISE_FACTOR = 1.5
 """Of the largest s. A smaller factor, or a mean over neighbours, is often below a noise that grows to one side."""
-PARTS = 20
-"""Parts into which `alpha` divides the spread of the objective."""
 NOISE_OF_FIT = 0.02
 """Least noise that a fit to exact values assumes, in parts of their spread: it follows no kink with all its norm."""
 
@@ -132,69 +130,3 @@ def score(specification: str | None, spec: SystemSpec) -> Score:
             raise PerfboundError(f"--specification: {error}") from None
 
     return robust
-
-
-def proposed(
-    lengths: tuple[float, ...], starts: Floats, values: Floats, *, noisy: bool, half_range: float
-) -> Constants:
-    """Return constants that contradict no value of a pilot; `half_range` is that of the clipped objective.
-
-    B is a multiple of the norm of a fit to the means, or of their largest distance from m0. Formula of the fit: the
-    posterior mean f of a Gaussian process with amplitude A, the largest distance, and noise s/sqrt(k):
-    ||f||^2 = y' M K M y with M = (K + (s^2/k)/A^2 I)^-1, K the kernel matrix (n, n), y = mean of J - m0.
-    """
-    means = values.mean(axis=1)
-    sd = float(values.std(axis=1, ddof=1).max()) if values.shape[1] > 1 else 0.0
-    centre = rounded(float(means.mean()), float(np.ptp(means)) or abs(float(means[0])) or 1.0)
-    deviations = means - centre
-    furthest = float(np.abs(deviations).max()) or abs(centre) or 1.0
-    noise = max(sd / math.sqrt(values.shape[1]) / furthest, NOISE_OF_FIT)
-    kernel = Matern(NU, lengths)
-    points = scaled(starts, kernel.axes)
-    gram = kernel(np.linalg.norm(points[:, None, :] - points[None, :, :], axis=2))
-    weights = np.linalg.solve(gram + noise**2 * np.eye(len(gram)), deviations)
-    norm = math.sqrt(max(float(weights @ gram @ weights), 0.0))
-    scale = rounded_up(NOISE_FACTOR * sd)
-    return Constants(
-        prior_mean=centre,
-        rkhs_norm=rounded_up(NORM_FACTOR * max(norm, furthest)),
-        noise_scale=0.0 if not noisy else scale if 0 < scale < half_range else "derived",
-        alpha=rounded_up(furthest / PARTS),
-    )
-
-
-def clip_around(values: Floats) -> tuple[float, float]:
-    """Return a clip for robust values (n,): it contains them with a margin, and shows violations.
-
-    >>> clip_around(np.array([-3.0, 7.0])), clip_around(np.array([0.35, 0.4]))
-    ((-8.0, 10.0), (-0.21, 0.413))
-    """
-    low, high = covering(values, 0.5, 0.25)
-    # Below it a violation is one value like another; half as far as the best value is above 0 shows its size.
-    return (low, high) if low < 0 else (rounded(-high / 2, high, ROUND_FLOOR), high)
-
-
-def covering(values: Floats, below: float, over: float) -> tuple[float, float]:
-    """Return a range that contains `values` and, on either side, a share of their spread.
-
-    >>> covering(np.array([-3.0, 7.0]), 0.5, 0.25)
-    (-8.0, 10.0)
-    """
-    low, high = float(values.min()), float(values.max())
-    spread = (high - low) or abs(low) or 1.0
-    return rounded(low - below * spread, spread, ROUND_FLOOR), rounded(high + over * spread, spread, ROUND_CEILING)
-
-
-def rounded(value: float, scale: float, rounding: str = ROUND_HALF_EVEN) -> float:
-    """Return a number as a person writes it, with the places of the first two digits of `scale` > 0.
-
-    >>> rounded(1047.36, 0.9), rounded(2.01, 2.01, ROUND_CEILING), rounded(-27.5, 20.0)
-    (1047.36, 2.1, -28.0)
-    """
-    places = max(scale, 1e-9 * abs(value))
-    return float(Decimal(repr(value)).quantize(Decimal(1).scaleb(math.floor(math.log10(places)) - 1), rounding)) + 0.0
-
-
-def rounded_up(value: float) -> float:
-    """Return the next larger number of two digits; 0 stays 0."""
-    return rounded(value, value, ROUND_CEILING) if value else 0.0

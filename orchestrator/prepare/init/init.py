@@ -28,7 +28,7 @@ from .constants import Constants, FirstValues
 from .file import campaign_text
 from .pilot import SECONDS, Pilot, PilotError, PilotPlan, run_pilot
 from .questions import QUESTIONS, FirstCampaign, unknown_question
-from .size import first_samples, first_size
+from ..size import first_samples, first_size
 
 REACH = 2.0
 """`alpha` is at least so many times what the tests could reach if all were at one start."""

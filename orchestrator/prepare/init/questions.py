@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from ....schemas.errors import meant
 from ....schemas.file.toml_text import toml_comment, toml_value
-from .size import EXACT, NOISY, FirstSize
+from ..size import EXACT, NOISY, FirstSize
 
 if TYPE_CHECKING:
     from ....schemas.file.objectives import ProblemName

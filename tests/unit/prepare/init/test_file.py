@@ -21,7 +21,7 @@ from perfbound.orchestrator.prepare.init.questions import (
     question_help,
     unknown_question,
 )
-from perfbound.orchestrator.prepare.init.size import EXACT, MOST_SAMPLES, NOISY, FirstSize, first_samples, first_size
+from perfbound.orchestrator.prepare.size import EXACT, MOST_SAMPLES, NOISY, FirstSize, first_samples, first_size
 from perfbound.schemas.file.objectives import ProblemName
 from perfbound.schemas.file.problem_models import RigorousProblem
 from perfbound.schemas.file.reader import parse_campaign
