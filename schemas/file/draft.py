@@ -9,7 +9,7 @@ from ..errors import CampaignError
 from .config import CampaignConfig
 from .defaults import completed, leaves_out_problems
 from .objectives import OBJECTIVES, any_of
-from .reader import campaign_table, file_and_place, validated
+from .reader import Beside, campaign_table, file_and_place, validated
 
 CLIP = (-1e100, 1e100)
 """Stands in for a clip that the draft leaves open: no value is beyond it."""
@@ -59,7 +59,11 @@ def load_draft(path: Path) -> Draft:
         CampaignError: it cannot be read, or is no campaign for methods with a kernel; one line with the remedy.
 
     """
-    data, source, beside = file_and_place(path)
+    return parse_draft(*file_and_place(path))
+
+
+def parse_draft(data: bytes, source: str, beside: Beside | None = None) -> Draft:
+    """Read the bytes of a draft; raises as `load_draft`."""
     table = campaign_table(data, source, beside)
     for key, reason in NOT_CALIBRATED.items():
         if key in table:
@@ -70,7 +74,7 @@ def load_draft(path: Path) -> Draft:
         found = {**table, "problems": [_completed_problem(each) for each in table["problems"]]}
     else:
         found = table  # at fault, which is reported below
-    config = validated(completed({"clip": list(CLIP), **found}, path.stem), table, source)
+    config = validated(completed({"clip": list(CLIP), **found}, Path(source).stem), table, source)
     for problem in config.problems:
         if problem.method not in STAND_INS:
             raise CampaignError(

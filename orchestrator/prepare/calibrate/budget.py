@@ -26,7 +26,7 @@ from ...mathematics.bounds.kriging.design import points_per_parameter
 from ...mathematics.bounds.kriging.method import KrigingMethod
 from ...mathematics.calibration.kernel_fit import KernelFit
 from ...mathematics.gp.kernels import Floats
-from ..init.constants import PARTS
+from ..rounded import PARTS
 from ..size import LEAST_COST, PER_SECOND, WORKERS
 from .constants import Constant, ProblemEvidence
 

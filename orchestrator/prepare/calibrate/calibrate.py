@@ -17,7 +17,7 @@ from ...campaign import plan as plans
 from ...campaign.checks import check, check_new
 from ...fleet.children.child import system_spec
 from ..child_rollouts import ChildRolloutError, ChildSystem
-from ..init.constants import clip_around
+from ..rounded import clip_around
 from .constants import Constant, ProblemCalibration
 from .file import kernel_file, sample_file, without_keys
 from .forecast import FORECASTS, Forecast, Instead, kriging_instead
@@ -84,25 +84,60 @@ def calibrate_draft(wish: CalibrationWish, report: Report) -> Calibration:
     reference = config.system.reference(wish.campaign)
     spec = system_spec(reference, f"{source}: system.name").spread(signal_shapes(config.space))
     (check if draft.clip is None else check_new)(config, spec, source)
-    needs_clip = draft.clip is None and _needs_clip(config, spec)
-    if needs_clip and len(config.problems) > 1:
-        raise PerfboundError(f"{source}: clip: the problems share it; give [low, high], a range of the robustness")
-    system, clip, found = ChildSystem(reference, spec, config.deadline, SECONDS), None, []
-    seen: list[str] = []
+    system = ChildSystem(reference, spec, config.deadline, SECONDS)
+    effort = Effort(wish.rollouts, wish.seed, wish.workers)
     try:
-        for number, problem in enumerate(config.problems):
-            with rollouts(system, config, number, seed=wish.seed, workers=wish.workers) as simulated:
-                total = wish.rollouts * len(rolled_out(problem.name, spec))
-                simulated.report = lambda done, name=problem.name, total=total: report(name, done, total)  # type: ignore[misc]
-                pilot = CalibrationPilot(draft, number, spec, simulated, propose_clip=needs_clip)
-                found.append(pilot.calibrated(wish.rollouts, wish.seed))
-                clip = clip or pilot.clip
-                seen.append(f"{problem.name}: {words}" if (words := simulated.margins.words) else "")
+        found = proposals(draft, system, effort, report, source)
     except ChildRolloutError as error:
         raise PerfboundError(f"{source}: {error}") from None
     except Stopped as stop:
         raise Stopped(stop.signal, "the calibration was ended, nothing was written") from None
-    return with_file(Calibration(wish, draft, spec, clip, tuple(found), (), None, violations=tuple(filter(None, seen))))
+    return with_file(Calibration(wish, draft, spec, found.clip, found.problems, (), None, violations=found.violations))
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """The rollouts that constants are proposed from."""
+
+    rollouts: int
+    """Of each problem and variant."""
+    seed: int
+    workers: int
+
+
+@dataclass(frozen=True, slots=True)
+class Proposals:
+    """What the rollouts of a draft show."""
+
+    problems: tuple[ProblemCalibration, ...]
+    clip: Constant | None
+    """Proposed where the draft has none and needs one."""
+    violations: tuple[str, ...]
+    """How many rollouts of each problem violate the specification, and the worst one, in a sentence each."""
+
+
+def proposals(draft: Draft, system: ChildSystem, effort: Effort, report: Report, source: str) -> Proposals:
+    """Return the constants that follow from rollouts of the draft at `source`: the one way from rollouts to constants.
+
+    Raises:
+        ChildRolloutError: a rollout fails, or would be refused by a campaign.
+        PerfboundError: the problems share a clip that the draft leaves open.
+
+    """
+    config, spec = draft.config, system.spec
+    needs_clip = draft.clip is None and _needs_clip(config, spec)
+    if needs_clip and len(config.problems) > 1:
+        raise PerfboundError(f"{source}: clip: the problems share it; give [low, high], a range of the robustness")
+    clip, found, seen = None, list[ProblemCalibration](), list[str]()
+    for number, problem in enumerate(config.problems):
+        with rollouts(system, config, number, seed=effort.seed, workers=effort.workers) as simulated:
+            total = effort.rollouts * len(rolled_out(problem.name, spec))
+            simulated.report = lambda done, name=problem.name, total=total: report(name, done, total)  # type: ignore[misc]
+            pilot = CalibrationPilot(draft, number, spec, simulated, propose_clip=needs_clip)
+            found.append(pilot.calibrated(effort.rollouts, effort.seed))
+            clip = clip or pilot.clip
+            seen.append(f"{problem.name}: {words}" if (words := simulated.margins.words) else "")
+    return Proposals(tuple(found), clip, tuple(filter(None, seen)))
 
 
 def _needs_clip(config: CampaignConfig, spec: SystemSpec) -> bool:

@@ -25,7 +25,7 @@ from ...mathematics.calibration.sampled import SampledValues
 from ...mathematics.calibration.steepness import Descent
 from ...mathematics.calibration.trust import EXACT_MARGIN, NOISY_MARGIN, Choice, KernelTrial, choose_kernel
 from ...mathematics.gp.kernels import Floats
-from ..init.constants import PARTS, rounded, rounded_up
+from ..rounded import PARTS, rounded, rounded_up
 from .design import Box
 
 SHARE = 0.5

@@ -11,7 +11,7 @@ from ...mathematics.calibration.trust import KernelTrial
 from ...mathematics.calibration.variogram import variogram
 from ...report import style
 from ...report.style import BLUE, GREEN, GREY, RED, THICK, THIN
-from ..init.constants import rounded_up
+from ..rounded import rounded_up
 from .budget import BudgetForecast
 from .constants import ProblemCalibration
 from .forecast import Forecast

@@ -18,7 +18,7 @@ from ...mathematics.calibration.sampled import SampledValues
 from ...mathematics.calibration.steepness import FRESH, Descent, End, SteepPlace, steepest
 from ...mathematics.calibration.trust import least_predicted
 from ...mathematics.gp.kernels import Floats
-from ..init.constants import clip_around
+from ..rounded import clip_around
 from .constants import (
     Constant,
     ProblemCalibration,

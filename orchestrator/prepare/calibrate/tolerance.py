@@ -16,7 +16,7 @@ from ...forecast.remaining import tests_left
 from ...mathematics.bounds.rigorous.method import ExhaustedError, RigorousMethod
 from ...mathematics.calibration.kernel_fit import KernelFit
 from ...mathematics.gp.kernels import Floats
-from ..init.constants import rounded_up
+from ..rounded import rounded_up
 from .budget import WORKERS, rollout_time
 from .constants import Constant, ProblemEvidence
 

@@ -2,14 +2,15 @@
 
 import os
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from ....schemas import atomic
-from ....schemas.errors import PerfboundError
+from ....schemas.errors import PerfboundError, Stopped
+from ....schemas.file.draft import parse_draft
 from ....schemas.file.method_spaces import FIXED_STARTS, LATTICE_PARAMETERS
 from ....schemas.file.objectives import OBJECTIVES, ProblemName, rolled_out
 from ....schemas.file.parameters import signal_shapes
@@ -19,19 +20,30 @@ from ....schemas.system import SystemSpec, Variant
 from ....schemas.trajectory.trajectory import Floats
 from ...campaign import plan
 from ...campaign.checks import check_new
+from ...certificate.words.format import duration
 from ...fleet.children.child import in_file, named_campaign, resolved, system_spec
 from ...fleet.children.simulate import chosen_horizon
 from ...forecast.remaining import least_distance
+from ..calibrate.calibrate import Effort, proposals
+from ..calibrate.constants import Constant
+from ..calibrate.design import ROLLOUTS
 from ..check_system.files import to_declare
-from . import constants as pilot
-from .constants import Constants, FirstValues
+from ..child_rollouts import ChildRolloutError, ChildSystem
+from ..rounded import clip_around, covering, rounded_up
+from ..size import LEAST_COST, WORKERS, first_samples, first_size
+from . import values
 from .file import campaign_text
 from .pilot import SECONDS, Pilot, PilotError, PilotPlan, run_pilot
 from .questions import QUESTIONS, FirstCampaign, unknown_question
-from ..size import first_samples, first_size
+from .values import FirstValues
 
 REACH = 2.0
 """`alpha` is at least so many times what the tests could reach if all were at one start."""
+FEWEST_ROLLOUTS = 150
+"""Of a problem, for constants; fewer show no kernel."""
+LONGEST = 3.0
+"""Pilots that the rollouts for the constants may take."""
+A_GUESS = "A guess: `perfbound calibrate` proposes a better one."
 CALIBRATED = ("worst",)
 """Questions about the worst start of a box, whose file is a draft for `perfbound calibrate` as well."""
 
@@ -74,21 +86,18 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
     _check_unwritten(out)
     variants, choice = _variants(spec, wish.question), _system_choice(wish.reference, out)
     horizon = chosen_horizon(spec, wish.horizon)
-    score = pilot.score(wish.specification, spec)
+    score = values.score(wish.specification, spec)
     yield f"{spec.name}: a pilot of a few rollouts, for about {SECONDS:g} s at most"
-    cost = None
+    found, fault = None, ""
     limit = SECONDS if known is None else min(SECONDS, known.deadline)
     try:
         found = run_pilot(PilotPlan(wish.reference, spec, choice.options, variants, horizon, limit), score)
-        basis, news, cost = (
-            _proposal(wish, spec, found),
-            f"{question.values} proposed from {found.size}",
-            found.cost,
-        )
         choice = _with_files(choice, found.undeclared)
+        basis = _proposal(wish, spec, found)
+        news = f"{question.values} proposed from {found.size}"
     except PilotError as error:
-        basis = _guess(wish, spec, horizon, str(error))
-        news = f"{question.values} guessed, because the pilot failed: {error}"
+        fault = f"because the pilot failed: {error}"
+        basis, news = _guess(wish, spec, horizon, fault), f"{question.values} guessed, {fault}"
     if basis.horizon == 0 and wish.horizon:
         raise PerfboundError(
             f"--horizon {wish.horizon:g}: rollouts of {spec.name} are one sample, which has none; remove this option"
@@ -98,7 +107,12 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
             f"--question {wish.question}: rollouts of {spec.name} are one sample, and this question needs longer ones; "
             "choose --question worst"
         )
-    campaign = _reachable(_first_campaign(wish, spec, choice, basis, cost))
+    campaign = _first_campaign(wish, spec, choice, basis, found.cost if found else None)
+    if found is not None and not question.drawn:
+        system = ChildSystem(wish.reference, spec, limit, LONGEST * SECONDS)
+        constants = yield from _calibrated(campaign, system, found, out)
+        campaign, news = replace(campaign, basis=constants.of(basis)), f"the constants are {constants.news}"
+    campaign = _reachable(campaign)
     text = campaign_text(campaign)
     check_new(parse_campaign(text.encode(), str(out)), spec, str(out))
     try:
@@ -146,26 +160,74 @@ def _proposal(wish: Wish, spec: SystemSpec, found: Pilot) -> FirstValues:
     question = QUESTIONS[wish.question]
     if specification is None:
         column, every = spec.columns[1].name, _all(scores)
-        limit, _ = pilot.covering(every, 0.1, 0.0)
+        limit, _ = covering(every, 0.1, 0.0)
         specification = _above(column, limit, found.horizon)
         scores = {variant: each - limit for variant, each in scores.items()}
         about = f"This formula holds in the whole pilot, where {column} was at least {every.min():g}: put yours here."
     elif not question.drawn:
         about = "The constants below fit this formula."
-    clip = pilot.clip_around(_all(scores))
-    lengths = tuple(pilot.length_scales(spec.parameters).values())
-    constants = {
-        name: pilot.proposed(
-            lengths,
-            found.starts,
-            _objective(name, spec, scores),
-            noisy=_noisy(name, spec),
-            half_range=(clip[1] - clip[0]) / 2,
+    source = "" if not question.drawn else f"{question.values.capitalize()} proposed from {found.size}."
+    return FirstValues(source, found.horizon, specification, about, clip_around(_all(scores)), {})
+
+
+@dataclass(frozen=True, slots=True)
+class FirstConstants:
+    """The constants of every problem, and where they come from."""
+
+    found: dict[ProblemName, tuple[Constant, ...]]
+    news: str
+    """What they are, in words."""
+    why: str = ""
+    """Of a guess, why it is one."""
+
+    def of(self, basis: FirstValues) -> FirstValues:
+        """Return the first values with them."""
+        head = f"The constants are GUESSED, {self.why}" if self.why else f"The constants are {self.news}."
+        return replace(basis, source=head, constants=self.found)
+
+
+def _calibrated(
+    campaign: FirstCampaign, system: ChildSystem, pilot: Pilot, out: Path
+) -> Generator[str, None, FirstConstants]:
+    """Return the constants that `perfbound calibrate` would propose from few rollouts; else guesses, with the reason.
+
+    Yields lines of progress.
+    """
+    names = campaign.question.problems
+    draft = parse_draft(campaign_text(campaign).encode(), str(out))
+    cost = max(campaign.cost or 0.0, LEAST_COST)
+    each = sum(len(rolled_out(name, campaign.spec)) for name in names) * cost / WORKERS
+    rollouts = min(ROLLOUTS, int(SECONDS / each))
+    if rollouts < FEWEST_ROLLOUTS:
+        return _guesses(
+            campaign, pilot, f"because {FEWEST_ROLLOUTS} rollouts would take {duration(FEWEST_ROLLOUTS * each)}."
         )
-        for name in ([] if question.drawn else question.problems)
-    }
-    source = f"{question.values.capitalize()} proposed from {found.size}."
-    return FirstValues(source, found.horizon, specification, about, clip, constants)
+    yield f"{campaign.spec.name}: {rollouts} rollouts for its constants, about {duration(rollouts * each)}"
+    try:
+        found = proposals(draft, system, Effort(rollouts, 1, WORKERS), lambda *_: None, str(out))
+    except ChildRolloutError as error:
+        return _guesses(campaign, pilot, f"because a rollout failed: {error}")
+    except Stopped as stop:
+        raise Stopped(stop.signal, "the pilot was ended, nothing was written") from None
+    yield from found.violations
+    if doubts := [doubt for problem in found.problems for doubt in problem.doubts]:
+        ask = "Method `sample` needs no kernel: `--question how-often`."
+        return _guesses(campaign, pilot, f"because no kernel is trustworthy here. {' '.join(doubts)} {ask}")
+    spent = sum(problem.measured.rollouts for problem in found.problems)
+    constants = {name: problem.constants for name, problem in zip(names, found.problems, strict=True)}
+    return FirstConstants(constants, f"proposed from {spent} rollouts")
+
+
+def _guesses(campaign: FirstCampaign, pilot: Pilot, why: str) -> FirstConstants:
+    spec = campaign.spec
+    return FirstConstants(
+        {
+            name: values.guessed(_objective(name, spec, pilot.scores), noisy=_noisy(name, spec), why=A_GUESS)
+            for name in campaign.question.problems
+        },
+        f"guessed, {why}",
+        why,
+    )
 
 
 def _above(column: str, limit: float, horizon: float) -> str:
@@ -195,16 +257,16 @@ def _guess(wish: Wish, spec: SystemSpec, horizon: float, fault: str) -> FirstVal
     question = QUESTIONS[wish.question]
     unfit = "" if question.drawn else "The constants below do not follow from this formula, because the pilot failed."
     return FirstValues(
-        source=f"{question.values.capitalize()} GUESSED, because the pilot failed: {fault}",
+        source=f"{question.values.capitalize()} GUESSED, {fault}",
         horizon=horizon,
         specification=wish.specification or _above(spec.columns[1].name, 0.0, horizon),
         about=unfit if wish.specification else "Put your formula here.",
         clip=(-10.0, 10.0),
         constants={
-            name: Constants(0.0, 30.0, "derived" if _noisy(name, spec) else 0.0, 1.0)
+            name: values.guessed(None, noisy=_noisy(name, spec), why=A_GUESS)
             for name in ([] if question.drawn else question.problems)
         },
-        guess=" This one is a guess.",
+        guess=f" {A_GUESS}",
     )
 
 
@@ -214,10 +276,17 @@ def _reachable(campaign: FirstCampaign) -> FirstCampaign:
         return campaign
     plans = plan.plans(parse_campaign(campaign_text(campaign).encode(), "campaign.toml"), campaign.spec)
     constants = {
-        name: replace(each, alpha=max(each.alpha, pilot.rounded_up(REACH * least_distance(plans[name]))))
-        for name, each in campaign.basis.constants.items()
+        name: tuple(_reaching(each, REACH * least_distance(plans[name])) for each in found)
+        for name, found in campaign.basis.constants.items()
     }
     return replace(campaign, basis=replace(campaign.basis, constants=constants))
+
+
+def _reaching(constant: Constant, least: float) -> Constant:
+    """Return an `alpha` that is not below what the tests can reach; another constant as it is."""
+    if constant.key != "alpha" or not isinstance(constant.value, float) or constant.value >= rounded_up(least):
+        return constant
+    return Constant("alpha", rounded_up(least), f"{REACH:g} times what the tests could reach if all were at one start.")
 
 
 def _first_campaign(
@@ -237,7 +306,7 @@ def _first_campaign(
         command=f"perfbound init {shlex.quote(wish.reference)} --question {wish.question}",
         question=question,
         basis=basis if needs_clip else replace(basis, clip=None),
-        lengths=pilot.length_scales(spec.parameters),
+        lengths=values.length_scales(spec.parameters),
         candidates=FIXED_STARTS["rigorous"].default if not question.drawn and many else None,
         size=first_samples(cost) if question.drawn else first_size(cost, noisy=bool(noisy), variants=variants),
         noisy=noisy,

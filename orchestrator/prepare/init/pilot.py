@@ -14,7 +14,7 @@ from ....schemas.system import OptionValue, SystemSpec, Variant
 from ....schemas.trajectory.trajectory import Floats, Trajectory
 from ...campaign.admission import check_whole
 from ..child_rollouts import ChildRolloutError, ChildSystem, finished, simulate_in_child, undeclared_files
-from .constants import NOISY_ROLLOUTS, Score, pilot_starts, settled_horizon
+from .values import NOISY_ROLLOUTS, Score, pilot_starts, settled_horizon
 
 SECONDS = 60.0
 """No rollout of a pilot starts later than this, and none may take longer: there would be too few."""

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ....schemas.file.objectives import ProblemName
     from ....schemas.file.space import SystemChoice
     from ....schemas.system import SystemSpec
-    from .constants import Constants, FirstValues
+    from .values import FirstValues
 
 Lines = Callable[["FirstCampaign"], Iterator[str]]
 
@@ -95,11 +95,6 @@ def _worst(campaign: "FirstCampaign") -> Iterator[str]:
     yield from _clip_lines(campaign)
     yield from _sizes(campaign, "Tests at most")
     yield from _constants(campaign, "robustness")
-    yield from toml_comment(
-        "Distances in each parameter over which the robustness changes its course, an assumption. Without this key: "
-        "half of each range, of more than three parameters the whole range."
-    )
-    yield f"# {_kernel(campaign)}"
 
 
 def _fails(campaign: "FirstCampaign") -> Iterator[str]:
@@ -188,12 +183,6 @@ def _both_problems(campaign: "FirstCampaign") -> Iterator[str]:
         yield "[[problems]]"
         yield f'name = "{name}"'
         yield from _constants(campaign, name)
-        yield "# Distances in each parameter over which the objective changes its course: assumptions."
-        yield _kernel(campaign)
-
-
-def _kernel(campaign: "FirstCampaign") -> str:
-    return f"kernel = {toml_value({'length_scale': campaign.lengths})}"
 
 
 def _sizes(campaign: "FirstCampaign", tests: str) -> Iterator[str]:
@@ -230,38 +219,33 @@ def _fewer_rollouts(campaign: "FirstCampaign") -> str:
 
 
 def _constants(campaign: "FirstCampaign", name: "ProblemName") -> Iterator[str]:
-    found, guess = campaign.basis.constants[name], campaign.basis.guess
+    """Yield the constants of a problem, each with its meaning and its reason; none while they are not known yet."""
+    found = {each.key: each for each in campaign.basis.constants.get(name, ())}
     objective = "the difference" if name == "sim_gap" else "-robustness"
-    yield "# The problem stops when its bounds are so near, or after max_tests: both give valid bounds."
-    yield f"alpha = {found.alpha!r}"
-    yield f"# About the mean of {objective} over all starts.{guess}"
-    yield f"prior_mean = {found.prior_mean!r}"
-    yield from toml_comment(
-        f"B, the norm of {objective} minus prior_mean for the kernel: the main assumption. It is above every distance "
-        f"from prior_mean; a larger one is safer and proves less.{guess}"
-    )
-    yield f"rkhs_norm = {found.rkhs_norm!r}"
-    yield from _noise_lines(found)
+    for key, meaning in _MEANINGS.items():
+        if key in found:
+            yield from toml_comment(f"{meaning.format(objective)} {found[key].why}".strip())
+            yield f"{key} = {toml_value(found[key].value)}"
+        elif key == "kernel" and found:
+            yield from toml_comment(
+                f"{meaning.format(objective)} Without this key: half of each range, of more than three parameters the "
+                "whole range."
+            )
+            yield f"# kernel = {toml_value({'length_scale': campaign.lengths})}"
     if name in campaign.noisy and campaign.size.replicates > 1:
         yield "# Rollouts of a test, with different seeds."
         yield f"replicates = {campaign.size.replicates}"
 
 
-def _noise_lines(found: "Constants") -> Iterator[str]:
-    yield from toml_comment(_NOISE.get(found.noise_scale, _NOISE_NUMBER))
-    yield f"noise_scale = {toml_value(found.noise_scale)}"
-
-
-_NOISE: Mapping[float | str, str] = {
-    0.0: "The rollouts do not depend on the seed.",
-    "derived": "R, the noise of one rollout: derived from the clip, no assumption. The standard deviation at the "
-    "noisiest start, as a number, is an assumption and proves more.",
+_MEANINGS: Mapping[str, str] = {
+    "alpha": "The problem stops when its bounds are so near, or after max_tests: both give valid bounds.",
+    "prior_mean": "About the mean of {} over all starts.",
+    "rkhs_norm": "B, the norm of {} minus prior_mean for the kernel: the main assumption. A larger one is safer and "
+    "proves less.",
+    "noise_scale": 'R, the noise of one rollout. "derived" follows from the clip, assumes nothing and proves less.',
+    "kernel": "Smoothness nu, and distances in each parameter over which {} changes its course: assumptions.",
 }
-_NOISE_NUMBER = (
-    "R, the noise of one rollout: 1.5 times the largest standard deviation of two rollouts at a start, an assumption. "
-    "It is often three times the typical one, because it has to hold at the noisiest start; one from many rollouts "
-    'there proves more. "derived" follows from the clip, assumes nothing and proves less.'
-)
+"""Of the constants of a problem, in the order of the file; the braces are the objective."""
 
 QUESTIONS: Mapping[str, Question] = {
     "worst": Question(

@@ -11,7 +11,7 @@ import pytest
 from perfbound.orchestrator.campaign.checks import check
 from perfbound.orchestrator.campaign.plan import plans
 from perfbound.orchestrator.forecast.remaining import warnings
-from perfbound.orchestrator.prepare.init.constants import NU, Constants, FirstValues
+from perfbound.orchestrator.prepare.calibrate.constants import Constant
 from perfbound.orchestrator.prepare.init.file import MOST_KEYS, campaign_text, key_lines
 from perfbound.orchestrator.prepare.init.init import _reachable
 from perfbound.orchestrator.prepare.init.questions import (
@@ -21,6 +21,7 @@ from perfbound.orchestrator.prepare.init.questions import (
     question_help,
     unknown_question,
 )
+from perfbound.orchestrator.prepare.init.values import FirstValues
 from perfbound.orchestrator.prepare.size import EXACT, MOST_SAMPLES, NOISY, FirstSize, first_samples, first_size
 from perfbound.schemas.file.objectives import ProblemName
 from perfbound.schemas.file.problem_models import RigorousProblem
@@ -43,7 +44,16 @@ SPEC = SystemSpec(
 )
 
 
-def campaign(*, horizon: float = 8.0, **constants: Constants) -> FirstCampaign:
+def proposal(prior_mean: float, norm: float, noise: float | str, alpha: float, **more: Any) -> tuple[Constant, ...]:
+    values = {"prior_mean": prior_mean, "rkhs_norm": norm, "noise_scale": noise, "alpha": alpha} | more
+    return tuple(Constant(key, value, f"It is {EVIL}") for key, value in values.items())
+
+
+def noise_of(constants: tuple[Constant, ...]) -> object:
+    return next(each.value for each in constants if each.key == "noise_scale")
+
+
+def campaign(*, horizon: float = 8.0, **constants: tuple[Constant, ...]) -> FirstCampaign:
     names: dict[str, ProblemName] = {"robustness": "robustness", "nominal": "nominal_robustness", "gap": "sim_gap"}
     specification = "always (x >= -5.0)" if horizon else "x >= -5.0"
     found = {names[name]: each for name, each in constants.items()}
@@ -56,12 +66,12 @@ def campaign(*, horizon: float = 8.0, **constants: Constants) -> FirstCampaign:
         lengths={"x0": 0.05, "v": 3.5},
         candidates=500,
         size=NOISY,
-        noisy=frozenset(name for name, each in found.items() if each.noise_scale),
+        noisy=frozenset(name for name, each in found.items() if noise_of(each)),
     )
 
 
 def test_a_file_is_the_campaign_that_it_was_made_of() -> None:
-    text = campaign_text(campaign(robustness=Constants(-2.0, 17.0, 0.34, 0.1)))
+    text = campaign_text(campaign(robustness=proposal(-2.0, 17.0, 0.34, 0.1)))
     config = parse_campaign(text.encode(), "robot.toml")
     check(config, SPEC, "robot.toml")
     (problem,) = config.problems
@@ -80,7 +90,7 @@ def test_a_file_is_the_campaign_that_it_was_made_of() -> None:
 
 
 def test_every_line_is_printable_and_short() -> None:
-    for line in campaign_text(campaign(robustness=Constants(-2.0, 17.0, "derived", 0.1))).splitlines():
+    for line in campaign_text(campaign(robustness=proposal(-2.0, 17.0, "derived", 0.1))).splitlines():
         assert line.isprintable(), line
         if line.startswith("# ") and "quoted" not in line:
             assert len(line) <= 100
@@ -88,7 +98,7 @@ def test_every_line_is_printable_and_short() -> None:
 
 @pytest.mark.parametrize("line", ["gain = 0.5", 'mode = "a\\"b"'])
 def test_an_option_is_set_by_removing_its_hash(line: str) -> None:
-    text = campaign_text(campaign(robustness=Constants(-2.0, 17.0, 0.34, 0.1)))
+    text = campaign_text(campaign(robustness=proposal(-2.0, 17.0, 0.34, 0.1)))
     assert text.count(f"\n# system.{line}") == 1
     found = tomllib.loads(text.replace(f"\n# system.{line}", f"\nsystem.{line}"))
     name = line.partition(" ")[0]
@@ -96,14 +106,14 @@ def test_an_option_is_set_by_removing_its_hash(line: str) -> None:
 
 
 def test_a_campaign_for_a_fleet_removes_one_hash() -> None:
-    text = campaign_text(campaign(robustness=Constants(-2.0, 17.0, 0.34, 0.1)))
+    text = campaign_text(campaign(robustness=proposal(-2.0, 17.0, 0.34, 0.1)))
     assert parse_campaign(text.encode(), "c.toml").second_opinion == 0
     asked = text.replace("\n# second_opinion", "\nsecond_opinion")
     assert parse_campaign(asked.encode(), "c.toml").second_opinion == 0.02
 
 
 def test_two_problems_carry_a_bound_from_the_nominal_to_the_true_system() -> None:
-    text = campaign_text(campaign(nominal=Constants(-2.0, 17.0, 0.0, 0.1), gap=Constants(0.1, 3.0, "derived", 0.1)))
+    text = campaign_text(campaign(nominal=proposal(-2.0, 17.0, 0.0, 0.1), gap=proposal(0.1, 3.0, "derived", 0.1)))
     config = parse_campaign(text.encode(), "c.toml")
     check(config, SPEC, "c.toml")
     assert config.composition == "pointwise"
@@ -111,16 +121,17 @@ def test_two_problems_carry_a_bound_from_the_nominal_to_the_true_system() -> Non
 
 
 def test_one_sample_has_no_horizon() -> None:
-    text = campaign_text(campaign(horizon=0.0, robustness=Constants(-2.0, 17.0, 0.34, 0.1)))
+    text = campaign_text(campaign(horizon=0.0, robustness=proposal(-2.0, 17.0, 0.34, 0.1)))
     assert "horizon =" not in text
     check(parse_campaign(text.encode(), "c.toml"), SPEC, "c.toml")
 
 
-def test_the_kernel_of_the_pilot_is_that_of_the_file() -> None:
-    config = parse_campaign(campaign_text(campaign(robustness=Constants(-2.0, 17.0, 0.34, 0.1))).encode(), "c.toml")
-    (problem,) = config.problems
+def test_the_kernel_of_the_calibration_is_that_of_the_file() -> None:
+    kernel = {"nu": 1.5, "length_scale": {"x0": 0.02, "v": 9.0}}
+    text = campaign_text(campaign(robustness=proposal(-2.0, 17.0, 0.34, 0.1, kernel=kernel)))
+    (problem,) = parse_campaign(text.encode(), "c.toml").problems
     assert isinstance(problem, RigorousProblem)
-    assert problem.kernel.nu == NU
+    assert problem.kernel.model_dump(exclude_none=True) == kernel
 
 
 @pytest.mark.parametrize("cost", [0.001, 0.1, 0.7, 5.0])
@@ -135,7 +146,7 @@ def test_a_first_campaign_is_of_a_size_for_a_minute(cost: float, noisy: bool, va
 
 def test_a_small_campaign_names_what_a_large_one_has() -> None:
     small = replace(
-        campaign(robustness=Constants(-2.0, 17.0, 0.34, 0.1)),
+        campaign(robustness=proposal(-2.0, 17.0, 0.34, 0.1)),
         size=FirstSize(110, 1, spot_check=110),
         cost=0.5,
     )
@@ -169,7 +180,7 @@ SMALL = (
 )
 def test_a_campaign_without_noise_is_called_small_where_it_is(cost: float, tests: int, checks: int, small: str) -> None:
     size = first_size(cost, noisy=False, variants=1)
-    text = campaign_text(replace(campaign(robustness=Constants(-2.0, 17.0, 0.0, 0.1)), size=size, cost=cost))
+    text = campaign_text(replace(campaign(robustness=proposal(-2.0, 17.0, 0.0, 0.1)), size=size, cost=cost))
     config = parse_campaign(text.encode(), "c.toml")
     assert (config.max_tests, config.spot_check) == (tests, checks)
     assert comment(text, "Tests at most") == f"Tests at most; the bound is valid whenever they end.{small}"
@@ -179,14 +190,14 @@ def test_a_campaign_without_noise_is_called_small_where_it_is(cost: float, tests
 
 def test_a_check_of_the_usual_size_has_no_key() -> None:
     size = first_size(0.16, noisy=True, variants=1)
-    text = campaign_text(replace(campaign(robustness=Constants(-2.0, 17.0, 0.34, 0.1)), size=size, cost=0.16))
+    text = campaign_text(replace(campaign(robustness=proposal(-2.0, 17.0, 0.34, 0.1)), size=size, cost=0.16))
     assert size.spot_check == 299
     assert f"480 rollouts in place of {size.max_tests}." in comment(text, "Tests at most")
     assert "\nspot_check" not in text
 
 
 def test_replicates_are_those_of_the_problem_with_noise() -> None:
-    found = campaign(nominal=Constants(-2.0, 17.0, 0.0, 0.1), gap=Constants(0.1, 3.0, "derived", 0.1))
+    found = campaign(nominal=proposal(-2.0, 17.0, 0.0, 0.1), gap=proposal(0.1, 3.0, "derived", 0.1))
     text = campaign_text(replace(found, size=first_size(0.5, noisy=True, variants=2), cost=0.5))
     assert "max_tests = 60 and replicates = 8 for sim_gap, that is 60 tests of 8 rollouts each." in comment(
         text, "Tests of a problem"
@@ -195,11 +206,11 @@ def test_replicates_are_those_of_the_problem_with_noise() -> None:
 
 @pytest.mark.parametrize("noise", [0.34, "derived"])
 def test_alpha_is_one_that_the_tests_can_reach(noise: float | str) -> None:
-    proposed = campaign(robustness=Constants(-2.0, 17.0, noise, 0.01))
+    proposed = campaign(robustness=proposal(-2.0, 17.0, noise, 0.01))
     assert warnings(plans(parse_campaign(campaign_text(proposed).encode(), "c.toml"), SPEC))
     found = parse_campaign(campaign_text(_reachable(proposed)).encode(), "c.toml")
     assert warnings(plans(found, SPEC)) == []
-    within_reach = campaign(robustness=Constants(-2.0, 17.0, noise, 16.0))
+    within_reach = campaign(robustness=proposal(-2.0, 17.0, noise, 16.0))
     assert _reachable(within_reach) == within_reach
 
 
@@ -214,7 +225,7 @@ PROGRAM = SystemChoice(
 def asking(question: str, **changes: Any) -> FirstCampaign:
     """Return the noisy campaign of a question, as large as it can be."""
     found = QUESTIONS[question]
-    base = campaign(robustness=Constants(-2.0, 17.0, 0.34, 0.1))
+    base = campaign(robustness=proposal(-2.0, 17.0, 0.34, 0.1))
     basis = replace(
         base.basis,
         constants={} if found.drawn else base.basis.constants,
@@ -243,7 +254,7 @@ def test_a_file_for_slow_rollouts_has_twelve_lines_too() -> None:
     assert key_lines(text) <= MOST_KEYS
 
 
-def test_the_file_without_a_kernel_has_that_of_the_pilot() -> None:
+def test_the_file_of_a_guess_names_the_kernel_that_it_has() -> None:
     text = campaign_text(asking("worst"))
     written = next(line for line in text.splitlines() if line.startswith("# kernel = "))
     with_kernel = parse_campaign(text.replace(written, written.removeprefix("# ")).encode(), "robot.toml")

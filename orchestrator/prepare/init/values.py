@@ -1,19 +1,8 @@
-"""Constants of a first campaign, proposed from a few rollouts; every one is an assumption that the user may change.
-
-| symbol | name      | meaning                                                           | shape  | unit |
-|--------|-----------|-------------------------------------------------------------------|--------|------|
-| z      | `starts`  | starting conditions of the pilot                                  | (n, p) | parameter |
-| J      | `values`  | maximised objective of k rollouts at each start, with other seeds | (n, k) | J |
-| m0, B  |           | prior mean and norm bound of J - m0                               | ()     | J |
-| R      |           | sub-Gaussian scale of the noise of one rollout                    | ()     | J |
-| s      | `sd`      | largest standard deviation of the rollouts at one start           | ()     | J |
-"""
+"""The first values of a campaign: the starts and scores of a pilot, and constants where none can be calibrated."""
 
 import itertools
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,22 +12,13 @@ from ....schemas.file.defaults import derived_lengths
 from ....schemas.system import Parameter, SystemSpec
 from ....schemas.trajectory.trajectory import Trajectory
 from ...campaign.objectives import scored
-from ...mathematics.gp.kernels import Floats, Matern, scaled
+from ...mathematics.gp.kernels import Floats
 from ...mathematics.stl.parser import FormulaError, parse_formula
+from ..calibrate.constants import Constant
+from ..rounded import PARTS, rounded, rounded_up
 
 if TYPE_CHECKING:
     from ....schemas.file.objectives import ProblemName
-
-
-@dataclass(frozen=True, slots=True)
-class Constants:
-    """What one problem assumes about its objective."""
-
-    prior_mean: float
-    rkhs_norm: float
-    noise_scale: float | str
-    """`derived`, where the clip bounds the noise better than the rollouts show it."""
-    alpha: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +33,7 @@ class FirstValues:
     about: str
     """Of the specification, in a sentence."""
     clip: tuple[float, float] | None
-    constants: dict["ProblemName", Constants]
+    constants: dict["ProblemName", tuple[Constant, ...]]
     """Of each problem, in the order of the file; empty where a claim needs none."""
     guess: str = ""
     """Ends the meaning of clip and constants that no pilot shows."""
@@ -61,18 +41,12 @@ class FirstValues:
 
 Score = Callable[[Trajectory], float]
 """From a rollout to one number, of which more is better."""
-NU = 2.5
-"""Smoothness of the kernel."""
 CORNERS, INNER = 8, 16
 """Starts of a pilot at corners of the box, where a system is often at its worst, and in it."""
 NOISY_ROLLOUTS = 2
 """Rollouts at each start where they depend on the seed."""
-NORM_FACTOR = 2.0
-"""The campaign sees more of the objective than a pilot, and finds larger norms."""
-NOISE_FACTOR = 1.5
-"""Of the largest s. A smaller factor, or a mean over neighbours, is often below a noise that grows to one side."""
-NOISE_OF_FIT = 0.02
-"""Least noise that a fit to exact values assumes, in parts of their spread: it follows no kink with all its norm."""
+GUESSED_NORM = 4.0
+"""B of a guess, in largest distances from the prior mean: those of a calibration are 2 to 15 of them."""
 
 
 def pilot_starts(parameters: Sequence[Parameter]) -> list[tuple[float, ...]]:
@@ -130,3 +104,19 @@ def score(specification: str | None, spec: SystemSpec) -> Score:
             raise PerfboundError(f"--specification: {error}") from None
 
     return robust
+
+
+def guessed(values: Floats | None, *, noisy: bool, why: str) -> tuple[Constant, ...]:
+    """Return constants to replace, from J of a few rollouts (n, k) or of none; `why` is the reason of each."""
+    centre, furthest = 0.0, 10.0
+    if values is not None:
+        means = values.mean(axis=1)
+        centre = rounded(float(means.mean()), float(np.ptp(means)) or abs(float(means[0])) or 1.0)
+        furthest = float(np.abs(means - centre).max()) or abs(centre) or 1.0
+    noise = Constant("noise_scale", "derived", "From the clip, which assumes nothing.")
+    return (
+        Constant("prior_mean", centre, why),
+        Constant("rkhs_norm", rounded_up(GUESSED_NORM * furthest), why),
+        noise if noisy else Constant("noise_scale", 0.0, "The rollouts do not depend on the seed."),
+        Constant("alpha", rounded_up(furthest / PARTS), why),
+    )
