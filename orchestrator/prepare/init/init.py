@@ -26,7 +26,6 @@ from ...fleet.children.simulate import chosen_horizon
 from ...forecast.remaining import least_distance
 from ..calibrate.calibrate import Effort, proposals
 from ..calibrate.constants import Constant
-from ..calibrate.design import ROLLOUTS
 from ..check_system.files import to_declare
 from ..child_rollouts import ChildRolloutError, ChildSystem
 from ..rounded import clip_around, covering, rounded_up
@@ -39,8 +38,8 @@ from .values import FirstValues
 
 REACH = 2.0
 """`alpha` is at least so many times what the tests could reach if all were at one start."""
-FEWEST_ROLLOUTS = 150
-"""Of a problem, for constants; fewer show no kernel."""
+FEWEST_ROLLOUTS, MOST_ROLLOUTS = 150, 200
+"""Of a problem and a variant, for constants; fewer show no kernel, and more are the business of `calibrate`."""
 LONGEST = 3.0
 """Pilots that the rollouts for the constants may take."""
 A_GUESS = "A guess: `perfbound calibrate` proposes a better one."
@@ -197,7 +196,7 @@ def _calibrated(
     draft = parse_draft(campaign_text(campaign).encode(), str(out))
     cost = max(campaign.cost or 0.0, LEAST_COST)
     each = sum(len(rolled_out(name, campaign.spec)) for name in names) * cost / WORKERS
-    rollouts = min(ROLLOUTS, int(SECONDS / each))
+    rollouts = min(MOST_ROLLOUTS, int(SECONDS / each))
     if rollouts < FEWEST_ROLLOUTS:
         return _guesses(
             campaign, pilot, f"because {FEWEST_ROLLOUTS} rollouts would take {duration(FEWEST_ROLLOUTS * each)}."
