@@ -40,6 +40,8 @@ REACH = 2.0
 """`alpha` is at least so many times what the tests could reach if all were at one start."""
 FEWEST_ROLLOUTS, MOST_ROLLOUTS = 150, 200
 """Of a problem and a variant, for constants; fewer show no kernel, and more are the business of `calibrate`."""
+WORTH = 5.0
+"""Seconds of rollouts for which a second process is worth its start."""
 LONGEST = 3.0
 """Pilots that the rollouts for the constants may take."""
 A_GUESS = "A guess: `perfbound calibrate` proposes a better one."
@@ -203,7 +205,8 @@ def _calibrated(
         )
     yield f"{campaign.spec.name}: {rollouts} rollouts for its constants, about {duration(rollouts * each)}"
     try:
-        found = proposals(draft, system, Effort(rollouts, 1, WORKERS), lambda *_: None, str(out))
+        workers = WORKERS if rollouts * each > WORTH else 1
+        found = proposals(draft, system, Effort(rollouts, 1, workers), lambda *_: None, str(out))
     except ChildRolloutError as error:
         return _guesses(campaign, pilot, f"because a rollout failed: {error}")
     except Stopped as stop:
