@@ -92,11 +92,10 @@ def test_a_planted_fault_is_found_with_its_remedy(started: Processes, name: str)
     assert {check for check, each in found.items() if each["status"] != "passed"} <= {fault.check, *fault.others}
 
 
-@pytest.mark.journey
 @pytest.mark.parametrize(
     ("reference", "options"),
     [
-        (str(CARS.with_name("cars.toml")), ()),
+        pytest.param(str(CARS.with_name("cars.toml")), (), marks=pytest.mark.journey),
         ("segway", ("--horizon", "3")),
         ("test-function", ("--variant", "true")),
         (f"{PLANTED}:sound", ()),

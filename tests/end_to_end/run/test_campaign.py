@@ -88,8 +88,7 @@ def test_the_manifest_is_checked_by_sha256sum(calm: Path) -> None:
     assert checked.stdout.count(": OK\n") == ROLLOUTS
 
 
-@pytest.mark.journey
-@pytest.mark.parametrize("workers", ["1", "3"])
+@pytest.mark.parametrize("workers", [pytest.param("1", marks=pytest.mark.journey), "3"])
 def test_the_number_of_workers_changes_no_byte(started: Processes, directory: Path, calm: Path, workers: str) -> None:
     ended = start(started, "--workers", workers).wait()
     assert ended.code == 0, ended.err
@@ -107,7 +106,6 @@ def sessions(directory: Path) -> int:
     return int(str(query(directory, "SELECT count(*) FROM sessions")[0][0]))
 
 
-@pytest.mark.journey
 @pytest.mark.smoke
 def test_an_orchestrator_killed_again_and_again(started: Processes, directory: Path, calm: Path) -> None:
     chance = random.Random(7)
