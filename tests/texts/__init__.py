@@ -64,7 +64,7 @@ def refusals(about: str, test: Callable[..., object], call: Callable[..., object
 
 
 def _name(value: object) -> str:
-    return value if isinstance(value, str) else repr(value)
+    return value if isinstance(value, str) else re.sub(r" at 0x\w+", "", repr(value))
 
 
 def _in_one_line(name: str) -> str:

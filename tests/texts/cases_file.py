@@ -74,12 +74,12 @@ def _keys() -> Cases:
     yield "a key of the campaign below a table", faults(below)
     yield "a key of a problem at the top", faults("alpha = 1.0\n" + file.WRITTEN_OUT)
     yield "no name", refusal(lambda: parse_campaign(file.ONE_PROBLEM.encode(), "\u00fc.toml"))
-    for number, (text, _) in enumerate(rows(file.test_the_fault_is_named)):
-        new = [line for line in text.splitlines() if line not in file.PAPER.splitlines()]
-        yield f"a file of two problems {number}: {' / '.join(new) or 'a line is left out'}", faults(text)
+    for number, (whole, _) in enumerate(rows(file.test_the_fault_is_named)):
+        new = [line for line in whole.splitlines() if line not in file.PAPER.splitlines()]
+        yield f"a file of two problems {number}: {' / '.join(new) or 'a line is left out'}", faults(whole)
     yield "more than 20 faults", file.faults_of("".join(f"wrong{k} = 1\n" for k in range(30)) + file.PAPER)[-1]
-    for new in ("noise_variance = -1", 'mass = "heavy"'):
-        yield f"an option of the system: {new}", file.refused(file.changed("noise_variance = 0.05", new))
+    for option in ("noise_variance = -1", 'mass = "heavy"'):
+        yield f"an option of the system: {option}", file.refused(file.changed("noise_variance = 0.05", option))
     other = file.changed("\nx = {", "\nz = {").replace('gains = "paper"', 'gaims = "paper"')
     yield "faults against the system", file.refused(other.replace("horizon = 15", "horizon = 150"))
     yield "no such column", file.refused(file.changed('column = "phi"', 'column = "roll"'))
