@@ -21,7 +21,7 @@ LOCKED = $(INSTALL) --only-binary :all: --require-hashes
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup slurm run test test-all every-test studies touched other-pythons mujoco smoke announce checks lint types imports doctests unit explore fuzz faults coverage reproduce bench bench-compare schemas diagrams docs images lock clean
+.PHONY: help setup slurm run test test-all every-test studies touched other-pythons mujoco smoke announce checks lint types imports doctests unit explore fuzz faults coverage reproduce bench bench-compare schemas texts diagrams docs images lock clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -101,7 +101,7 @@ build/backend/.installed: pyproject.toml $(INSTALLED)
 	$(INSTALL) --target build/backend "$$(sed -n 's/^requires = \["\(.*\)"\]$$/\1/p' pyproject.toml)"
 	touch $@
 
-DOCTESTS := $(addprefix perfbound/,orchestrator workers schemas library) tests/architecture/source.py tests/architecture/prometheus.py tests/golden/record.py
+DOCTESTS := $(addprefix perfbound/,orchestrator workers schemas library) tests/architecture/source.py tests/architecture/prometheus.py tests/golden/record.py tests/facts.py
 doctests: $(INSTALLED)-dev ## Examples in docstrings
 	$(BIN)/python -m pytest --doctest-modules $(DOCTESTS)
 
@@ -174,6 +174,9 @@ bench-compare: $(INSTALLED)-dev ## Two results side by side: OLD=... NEW=... (JS
 
 schemas: $(INSTALLED)-dev ## Write schemas/json/v1 anew from the models
 	$(BIN)/python -m perfbound.schemas
+
+texts: $(INSTALLED)-dev ## Write anew what the product says, tests/texts/*.txt; then review the diff
+	$(BIN)/python -m tests.texts
 
 diagrams: $(INSTALLED)-dev ## Draw the diagrams of docs/architecture.md from tables and imports, write the table of metrics
 	$(BIN)/python -m tests.architecture

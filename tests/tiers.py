@@ -18,7 +18,7 @@ UNIT, INTEGRATION = "unit", "integration"
 JOURNEY = "journey"
 REST = "rest"
 TESTS = Path(__file__).parent
-RUNS_ALWAYS = ("unit", "contract", "golden", "architecture")
+RUNS_ALWAYS = ("unit", "contract", "golden", "architecture", "texts")
 """Folders whose tests `make test` runs, unless a test is marked `rest`; of every other one, those marked `journey`."""
 STARTS = frozenset(
     ("subprocess.Popen", "os.posix_spawn", "os.fork", "os.forkpty", "os.exec", "os.spawn", "os.system", "pty.spawn")
@@ -38,7 +38,7 @@ def mark_by_folder(items: list[pytest.Item]) -> None:
         if not item.path.is_relative_to(TESTS):
             continue  # an example in a docstring
         folder = item.path.relative_to(TESTS).parts[0]
-        if folder == "unit" and not item.get_closest_marker(INTEGRATION):
+        if folder in ("unit", "texts") and not item.get_closest_marker(INTEGRATION):
             item.add_marker(UNIT)
         if folder not in RUNS_ALWAYS and not item.get_closest_marker(JOURNEY):
             item.add_marker(REST)

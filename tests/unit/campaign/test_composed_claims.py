@@ -12,6 +12,7 @@ from perfbound.schemas.file.composition import composed_claims
 from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.file.reader import parse_campaign
 from perfbound.schemas.result.certificate import Certificate
+from tests.facts import facts
 from tests.fakes.finished import KERNEL, a_pair, finish, play
 
 PAIR = ["nominal_robustness", "sim_gap"]
@@ -70,19 +71,19 @@ def test_only_what_is_asked_for_is_claimed() -> None:
 @pytest.mark.parametrize(
     ("claims", "changes", "reason"),
     [
-        ([("single", ["sim_gap"])], {}, r"claims\.0\.rule: 'single' makes a claim of"),
-        ([("single", PAIR)], {}, r"claims\.0\.problems: rule 'single' is for one problem"),
-        ([("sum", PAIR[::-1])], {}, r"claims\.0\.problems: rule 'sum' is for"),
-        ([("pointwise", PAIR)], {}, r"claims\.0\.rule: 'pointwise' needs method 'rigorous' in both"),
-        ([("single", ["maximum"])], {}, r"claims\.0\.problems: no problem 'maximum' here; choose of nominal_robust"),
-        ([("sum", PAIR)], {}, "claims: none uses the problem 'true_risk'"),
-        ([("sum", PAIR), ("sum", PAIR)], {}, r"claims\.1: is there twice"),
-        ([("sum", PAIR)], {"composition": "sum"}, "composition: is short for one entry of"),
-        ([("all", PAIR)], {}, "Input should be 'product'"),
+        ([("single", ["sim_gap"])], {}, "claims.0.rule: 'single'"),
+        ([("single", PAIR)], {}, "claims.0.problems: 'single'"),
+        ([("sum", PAIR[::-1])], {}, "claims.0.problems: 'sum'"),
+        ([("pointwise", PAIR)], {}, "claims.0.rule: 'pointwise' 'rigorous'"),
+        ([("single", ["maximum"])], {}, "claims.0.problems: 'maximum' nominal_robustness"),
+        ([("sum", PAIR)], {}, "claims: 'true_risk'"),
+        ([("sum", PAIR), ("sum", PAIR)], {}, "claims.1: twice"),
+        ([("sum", PAIR)], {"composition": "sum"}, "composition: one claims"),
+        ([("all", PAIR)], {}, "'product'"),
     ],
 )
 def test_claims_that_cannot_be(claims: list[tuple[str, list[str]]], changes: dict[str, Any], reason: str) -> None:
-    with pytest.raises(ValueError, match=reason):
+    with pytest.raises(ValueError, match=facts(reason)):
         asked(*claims, **changes)
 
 

@@ -15,6 +15,7 @@ from perfbound.schemas.file.space import Scenarios
 from perfbound.schemas.system import Column, Option, Parameter, SystemSpec
 from perfbound.workers.systems import load_system
 from tests.campaigns import FOLDER, PAIR, config
+from tests.facts import says
 
 RIGOROUS = PAIR.read_text()
 SCENARIO = (FOLDER / "segway-scenario.toml").read_text()
@@ -42,7 +43,7 @@ def fault(text: str, old: str, new: str, **files: Any) -> str:
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("rkhs_norm = 0.15", "rkhs_norm = 0.0", "problems.nominal_robustness.rkhs_norm: 0.0 is not allowed"),
+        ("rkhs_norm = 0.15", "rkhs_norm = 0.0", "^problems.nominal_robustness.rkhs_norm: 0.0"),
         ("nu = 0.5", "nu = -1.0", "problems.nominal_robustness.kernel.nu: "),
         ('noise_scale = "derived"', "noise_scale = -0.1", "problems.sim_gap.noise_scale: "),
         ('noise_scale = "derived"', 'noise_scale = "guessed"', "problems.sim_gap.noise_scale: 'guessed'"),
@@ -50,7 +51,7 @@ def fault(text: str, old: str, new: str, **files: Any) -> str:
         (
             'noise_scale = "derived"',
             "noise_scale = 0.4\nregulariser = [{ value = 1.0, weight = 0.7 }, { value = 2.0, weight = 0.7 }]",
-            "problems.sim_gap.regulariser: the weights must sum to at most 1",
+            "^problems.sim_gap.regulariser: most 1",
         ),
         (
             'noise_scale = "derived"',
@@ -60,53 +61,50 @@ def fault(text: str, old: str, new: str, **files: Any) -> str:
         (
             'noise_scale = "derived"',
             "noise_scale = 0.4\nslack = 1.0",
-            "problems.sim_gap.slack: 1 must be at most alpha",
+            "^problems.sim_gap.slack: 1 most alpha",
         ),
-        ("replicates = 64", "replicates = 0", "problems.sim_gap.replicates: 0 is not allowed"),
+        ("replicates = 64", "replicates = 0", "^problems.sim_gap.replicates: 0"),
         (
             "replicates = 64",
             "replicates = 64\nsigma = 'std'",
-            "problems.sim_gap.sigma: belongs to method 'paper', and not to 'rigorous'",
+            "^problems.sim_gap.sigma: 'paper' 'rigorous'",
         ),
-        ('method = "rigorous"', 'method = "rigourous"', "problems.0.method: 'rigourous' is not allowed"),
-        ('composition = "pointwise"', 'composition = "product"', "composition: 'product' is for method 'paper'"),
+        ('method = "rigorous"', 'method = "rigourous"', "method: 'rigourous'"),
+        ('composition = "pointwise"', 'composition = "product"', "^composition: 'product' 'paper'"),
         ('kind = "robustness"', 'kind = "predicate_sup", lipschitz = 2.0', "gap.lipschitz: 2 must be 1"),
-        ('kind = "robustness"', 'kind = "robustness", column = "phi"', "gap.column: not allowed for kind 'robustness'"),
-        ('kind = "robustness"', 'kind = "signal_sup"', "gap.column: required by kind 'signal_sup'"),
+        ('kind = "robustness"', 'kind = "robustness", column = "phi"', "^gap.column: 'robustness'"),
+        ('kind = "robustness"', 'kind = "signal_sup"', "^gap.column: required 'signal_sup'"),
     ],
 )
 def test_a_wrong_key_of_a_rigorous_campaign_is_named(old: str, new: str, expected: str) -> None:
-    found = fault(RIGOROUS, old, new)
-    assert found.startswith(expected) or (found.replace("problems.nominal_robustness", "problems.0")).startswith(
-        expected
-    )
+    assert says(fault(RIGOROUS, old, new), expected)
 
 
 def test_noise_zero_on_a_noisy_variant_without_replicates_is_refused() -> None:
     single = RIGOROUS.replace("replicates = 64", "replicates = 1")
     found = fault(single, 'noise_scale = "derived"', "noise_scale = 0.0")
-    assert found.startswith("problems.sim_gap.noise_scale: 0 has no meaning for the true variant of segway")
+    assert says(found, "^problems.sim_gap.noise_scale: 0 true segway")
 
 
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("[0.5, 1.5]", "[0.5, 0.5]", "space.scenarios: entries 0 and 1 are the same"),
-        ("[0.5, 1.5]", "[0.5]", "space.scenarios: entry 1 has 1 numbers, the first 2"),
-        ("[0.5, 1.5]", "[0.5, 7.5]", "space.scenarios: entry 1, y = 7.5 leaves [0, 5] m"),
+        ("[0.5, 1.5]", "[0.5, 0.5]", "^space.scenarios: 0 1"),
+        ("[0.5, 1.5]", "[0.5]", "^space.scenarios: 1 1 2"),
+        ("[0.5, 1.5]", "[0.5, 7.5]", "^space.scenarios: 1 y = 7.5 [0 5] m"),
         ("[0.5, 1.5]", "[0.5, nan]", "space.scenarios.1.1: "),
-        ("spread = 0.12", "spread = 0.0", "problems.true_risk.linearised.spread: 0.0 is not allowed"),
-        ("delta = 0.05", "delta = 1.0", "problems.true_risk.delta: 1.0 is not allowed"),
-        ('name = "true_risk"', 'name = "sim_gap"', "problems.sim_gap.name: method 'scenario' bounds 'true_risk'"),
+        ("spread = 0.12", "spread = 0.0", "^problems.true_risk.linearised.spread: 0.0"),
+        ("delta = 0.05", "delta = 1.0", "^problems.true_risk.delta: 1.0"),
+        ('name = "true_risk"', 'name = "sim_gap"', "^problems.sim_gap.name: 'scenario' 'true_risk'"),
         (
             "delta = 0.05",
             "delta = 0.05\nrkhs_norm = 1.0",
-            "problems.true_risk.rkhs_norm: belongs to method 'paper', 'rigorous' or 'kriging', and not to 'scenario'",
+            "^problems.true_risk.rkhs_norm: 'paper' 'rigorous' 'kriging' 'scenario'",
         ),
     ],
 )
 def test_a_wrong_key_of_a_scenario_campaign_is_named(old: str, new: str, expected: str) -> None:
-    assert fault(SCENARIO, old, new).startswith(expected)
+    assert says(fault(SCENARIO, old, new), expected)
 
 
 def from_csv(content: bytes, name: str = "cells.csv") -> str:
@@ -123,8 +121,8 @@ def test_scenarios_may_stand_in_a_csv_file() -> None:
 @pytest.mark.parametrize(
     ("content", "expected"),
     [
-        (b"x,y\n0.5,one\n", "space.scenarios: cells.csv: row 0 is '0.5,one'; allowed are numbers"),
-        (b"x,y\n0.5,nan\n", "space.scenarios: cells.csv: row 0 is '0.5,nan'"),
+        (b"x,y\n0.5,one\n", "space.scenarios: cells.csv: 0 '0.5,one'"),
+        (b"x,y\n0.5,nan\n", "space.scenarios: cells.csv: 0 '0.5,nan'"),
         (b"x,y\n", "space.scenarios: "),
         (b"\xff\xfe", "space.scenarios: cells.csv: not UTF-8"),
     ],
@@ -132,7 +130,7 @@ def test_scenarios_may_stand_in_a_csv_file() -> None:
 def test_a_broken_csv_file_is_one_line(content: bytes, expected: str) -> None:
     with pytest.raises(CampaignError) as caught:
         parse_campaign(from_csv(content).encode(), "c.toml", lambda _: content)
-    assert str(caught.value).startswith(f"c.toml: {expected}")
+    assert says(str(caught.value), f"^c.toml: {expected}")
 
 
 @pytest.mark.parametrize("name", ["../cells.csv", "/etc/passwd", ".hidden"])
@@ -149,7 +147,7 @@ def test_a_budget_that_cannot_reach_its_tolerance_is_said() -> None:
     gap = plan(chosen, load_system(chosen.system.name).spec, chosen.problems[1])
     sentence = remaining.out_of_reach(gap)
     assert sentence is not None
-    assert "100 tests cannot be expected to reach alpha = 0.02" in sentence
+    assert says(sentence, "100 alpha = 0.02")
     assert remaining.out_of_reach(replace(gap, budget=2000, noise=0.001)) is None
 
 

@@ -25,6 +25,7 @@ from perfbound.orchestrator.mathematics.bounds.rigorous.regions import MARGIN, R
 from perfbound.orchestrator.run import service
 from perfbound.schemas.result.certificate import Certificate, CertifiedRegions
 from perfbound.schemas.rollout import RolloutRequest
+from tests.facts import facts, says
 from tests.fakes.simulators import noise, predicate, robustness, simulate, spec, statuses, verified
 
 EXACT: dict[str, Any] = {
@@ -126,10 +127,10 @@ class TestCertificate:
     def test_the_sentences(self, original: Path) -> None:
         text = printed(original)
         assert "Regions\n  Certified safe: at least " in text
-        assert "Safe: the robustness is above 0 at every start of a box." in text
+        assert says(text, "Safe: above 0")
         assert "the first claim with them, with certainty, given the assumptions." in text
         assert " fresh starts in certified boxes have another sign." in text
-        assert "also  share of the starts that are certified safe >= 0." in text
+        assert says(text, "also certified safe >= 0.")
 
     def test_a_campaign_without_the_key_has_none_of_it(self, tmp_path: Path) -> None:
         text = simulate(tmp_path / "run", robustness(EXACT, **CHECKS), wave, noisy=False)
@@ -217,7 +218,7 @@ class TestRisk:
         shares |= {"sha256": "", "checked": None, "contradicted": None}
         found = [CertifiedRegions(**shares, unsafe_below=limit) for limit in (-0.420333334, None, 0.0)]
         words = [unsafe_words("robustness risk", each) for each in found]
-        assert words[0].startswith("Unsafe: the expectation that bounds the risk is below -0.4204, and so the risk")
+        assert says(words[0], "^Unsafe: below -0.4204")
         assert words[1].startswith("No start can be certified unsafe")
         assert words[2].startswith("Unsafe: the robustness risk is below 0")
 
@@ -229,17 +230,17 @@ class TestFile:
             (
                 {"method": "scenario", "alpha": 0.1},
                 {"clip": [-1, 1], "space": {"scenarios": [[0, 0]]}},
-                "choose 'rigor",
+                "'rigorous'",
             ),
             (EXACT, {"space": {"scenarios": [[0.0, 0.0], [1.0, 1.0]]}}, "a list of starts has no regions"),
-            (EXACT, {"where": "z1 + z2 <= 1"}, "only a whole box with a lattice is divided; remove `where`"),
-            (EXACT, {"candidates": 100}, "only a whole box with a lattice is divided; remove `where`"),
-            (EXACT, {"clip": [0.0, 1.0]}, "clip: \\[0.0, 1.0\\] must contain 0 inside"),
-            (EXACT | {"name": "maximum", "column": "value"}, {}, "only for one problem, 'true_risk' or 'robustness'"),
+            (EXACT, {"where": "z1 + z2 <= 1"}, "`where`"),
+            (EXACT, {"candidates": 100}, "`where`"),
+            (EXACT, {"clip": [0.0, 1.0]}, "clip: [0.0, 1.0] 0"),
+            (EXACT | {"name": "maximum", "column": "value"}, {}, "'true_risk' 'robustness'"),
         ],
     )
     def test_what_has_no_regions_is_refused(self, problem: dict[str, Any], changes: Any, message: str) -> None:
-        with pytest.raises(ValidationError, match=message):
+        with pytest.raises(ValidationError, match=facts(message)):
             robustness(problem, regions=True, **changes)
 
     def test_the_key_is_part_of_the_identity_and_left_out_at_its_default(self) -> None:

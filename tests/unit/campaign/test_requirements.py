@@ -22,6 +22,7 @@ from perfbound.schemas.file.parts import parts_of
 from perfbound.schemas.file.reader import parse_campaign
 from perfbound.schemas.result.certificate import Certificate
 from perfbound.schemas.rollout import RolloutRequest
+from tests.facts import facts, says
 from tests.fakes.simulators import certificates, noise, predicate, robustness, simulate, spec, statuses, verified
 
 RIGOROUS = {
@@ -235,7 +236,7 @@ def test_a_requirement_has_figures_and_a_band_of_its_own(tmp_path: Path) -> None
         assert (lower <= wanted).all()
         assert (wanted <= upper).all()
         assert (upper - lower < 1.0).all(), "a part of what B alone allows"
-    with pytest.raises(PerfboundError, match=r"has the band of robustness at the 81 candidates alone"):
+    with pytest.raises(PerfboundError, match=facts("robustness 81")):
         posterior(tmp_path, None, starts)
 
 
@@ -243,8 +244,8 @@ def test_the_terminal_names_the_requirement(tmp_path: Path, capsys: pytest.Captu
     simulate(tmp_path, several(), plane, noisy=False)
     print_certificate(certificate(tmp_path), Console(width=100))
     out = " ".join(capsys.readouterr().out.split())
-    assert "CLAIM worst robustness over all starts, of every requirement >= " in out
-    assert "also worst robustness over all starts, of requirement double >= " in out
+    assert says(out, "CLAIM every requirement >=")
+    assert says(out, "also requirement double >=")
 
 
 TEXT = """horizon = 5
@@ -279,36 +280,36 @@ def test_the_constants_of_a_requirement_are_beside_its_formula() -> None:
         (
             "rkhs_norm = 9",
             "linearised = { centre = 1, spread = 1 }",
-            r"specifications\.stop\.linearised: required by problem",
+            "specifications.stop.linearised: required",
         ),
-        ("rkhs_norm = 9", "rkhs_norm = -1", r"specifications\.stop\.rkhs_norm"),
+        ("rkhs_norm = 9", "rkhs_norm = -1", "specifications.stop.rkhs_norm: -1"),
         (
             "rkhs_norm = 9",
             "resolution = 3",
-            r"specifications\.stop\.resolution: unknown key; allowed are alpha, formula",
+            "specifications.stop.resolution: unknown alpha formula",
         ),
-        ("rkhs_norm = 9", "rkhsnorm = 9", r"specifications\.stop\.rkhsnorm: unknown key; did you mean 'rkhs_norm'\?"),
-        ("rkhs_norm = 9", "kernel = { nu = 45, length_scale = 1 }", r": specifications\.stop\.kernel\.nu: 45 must be"),
+        ("rkhs_norm = 9", "rkhsnorm = 9", "specifications.stop.rkhsnorm: unknown 'rkhs_norm'"),
+        ("rkhs_norm = 9", "kernel = { nu = 45, length_scale = 1 }", "specifications.stop.kernel.nu: 45"),
         (
             "alpha = 1\n",
             "alpha = 1\nslack = 0.5\n",
-            r": specifications\.gap: slack: 0\.5 must be at most alpha = 0\.25",
+            "specifications.gap: slack: 0.5 most alpha = 0.25",
         ),
-        ("stop = {", '"s/p" = {', r"specifications\.s/p\.name: 's/p' is not allowed: allowed is a letter, then"),
-        ('name = "robustness"', 'name = "maximum"\ncolumn = "speed"', "specifications: only for one problem"),
-        ("horizon = 5", "horizon = 5\nregions = true", "regions: divides the box by one specification"),
+        ("stop = {", '"s/p" = {', "specifications.s/p.name: 's/p'"),
+        ('name = "robustness"', 'name = "maximum"\ncolumn = "speed"', "specifications: one problem"),
+        ("horizon = 5", "horizon = 5\nregions = true", "regions: one specification"),
         ("horizon = 5", 'horizon = 5\nspecification = "speed > 0"', "specification: not allowed beside"),
     ],
 )
 def test_requirements_that_do_not_go_together(old: str, new: str, reason: str) -> None:
-    with pytest.raises(CampaignError, match=reason) as caught:
+    with pytest.raises(CampaignError, match=facts(reason)) as caught:
         parse_campaign(TEXT.replace(old, new).encode(), "c.toml")
     assert "\n" not in str(caught.value)
 
 
 def test_no_more_than_fifty() -> None:
     more = "\n".join(f'speed{limit} = "speed < {limit}"' for limit in range(49))
-    with pytest.raises(CampaignError, match=r"specifications: .* is not allowed: allowed is at most 50 entries$"):
+    with pytest.raises(CampaignError, match=facts("specifications: most 50")):
         parse_campaign(TEXT.replace("[[problems]]", f"{more}\n[[problems]]").encode(), "c.toml")
 
 
@@ -340,7 +341,7 @@ def test_method_paper_and_method_sample_say_why_not() -> None:
     paper = {"method": "paper", "alpha": 0.1, "c": 0.2, "rkhs_norm": 2.0, "noise_scale": 0.1}
     kernel = {"kernel": RIGOROUS["kernel"]}
     config = {"specification": None, "specifications": THREE, "clip": (-1.0, 1.0)}
-    with pytest.raises(ValidationError, match="specifications: Algorithm 1 chooses every test by its own bound"):
+    with pytest.raises(ValidationError, match=facts("specifications: Algorithm 1")):
         robustness(paper | kernel, **config)
-    with pytest.raises(ValidationError, match=r"specifications\.double\.alpha: has no meaning in method 'sample'"):
+    with pytest.raises(ValidationError, match=facts("specifications.double.alpha: 'sample'")):
         robustness({"method": "sample"}, **config)

@@ -21,6 +21,7 @@ from perfbound.schemas.file.reader import parse_campaign
 from perfbound.schemas.result.certificate import Certificate, CertificateClaim
 from perfbound.schemas.result.facts import ProposalFact, RolloutFact
 from perfbound.schemas.rollout import RolloutRequest
+from tests.facts import facts, says
 from tests.fakes.simulators import certificates, noise, robustness, simulate, spec, verified
 
 SAMPLE = {"method": "sample"}
@@ -124,7 +125,7 @@ def test_jointly_each_claim_has_its_part_of_delta(tmp_path: Path) -> None:
     assert [each.probability for each in claims(tmp_path)] == [0.95, 0.95]
     console = Console(record=True, width=300)
     print_certificate(certificate(tmp_path), console)
-    assert "All 2 claims hold together with probability at least 0.9000." in console.export_text()
+    assert says(console.export_text(), "2 least 0.9000.")
 
 
 def test_a_stop_that_looks_at_outcomes_has_betting_bounds(tmp_path: Path) -> None:
@@ -170,8 +171,8 @@ def test_each_requirement_has_its_claim_after_that_of_the_whole(tmp_path: Path) 
     assert [(each.quantity, each.requirement) for each in found] == [
         (quantity, name) for quantity in ("failure_probability", "quantile") for name in (None, "low", "high")
     ]
-    assert found[1].subject == "probability that a rollout at a drawn start violates requirement low"
-    assert found[5].subject == "10 % quantile of the robustness of requirement high at drawn starts"
+    assert says(str(found[1].subject), "probability violates low")
+    assert says(str(found[5].subject), "10 % high")
     assert certificate(tmp_path).predicate.question["specifications"] == TWO
     whole, low, high = (each.bound for each in found[:3])
     assert max(low, high) <= whole <= 1.0
@@ -199,12 +200,12 @@ def test_jointly_counts_the_requirements() -> None:
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"specification": "value > 0"}, "specification: not allowed beside specifications"),
-        ({"specifications": [{"name": "1st", "formula": "value > 0"}]}, "String should match pattern"),
+        ({"specification": "value > 0"}, "specification:"),
+        ({"specifications": [{"name": "1st", "formula": "value > 0"}]}, "pattern"),
     ],
 )
 def test_requirements_that_cannot_be(changes: dict[str, Any], reason: str) -> None:
-    with pytest.raises(ValidationError, match=reason):
+    with pytest.raises(ValidationError, match=facts(reason)):
         several(**changes)
 
 
@@ -233,7 +234,7 @@ stop = { formula = "eventually (speed < 1)", id = "REQ-7", text = "The car stops
 @pytest.mark.parametrize("given", ["[1, 2]", '[{ formula = "distance > 0" }]', '["x"]', "[[1, 2]]", "3"])
 def test_requirements_that_are_none_are_one_line(given: str) -> None:
     text = f'horizon = 5\nsystem.name = "cars"\nspace.gap = [5, 60]\nspecifications = {given}\n'
-    with pytest.raises(CampaignError, match=r"^c\.toml: specifications") as caught:
+    with pytest.raises(CampaignError, match=r"c\.toml: specifications") as caught:
         parse_campaign(text.encode(), "c.toml")
     assert not any("\n" in line for line in caught.value.lines)
 
@@ -252,7 +253,7 @@ def test_a_clip_beyond_every_number_is_refused() -> None:
 
 def test_a_fault_in_a_requirement_names_it() -> None:
     text = 'horizon = 5\nsystem.name = "cars"\nspace.gap = [5, 60]\n[specifications]\nfirst = "gap > 0"\nsecond = 3\n'
-    with pytest.raises(CampaignError, match=r"c\.toml: specifications\.second\.formula: 3 is not allowed"):
+    with pytest.raises(CampaignError, match=facts("c.toml: specifications.second.formula: 3")):
         parse_campaign(text.encode(), "c.toml")
 
 
@@ -345,29 +346,32 @@ def test_a_delta_that_is_next_to_nothing_is_no_certainty(tmp_path: Path) -> None
     ("changes", "reason"),
     [
         ({"claims": [{"quantity": "quantile"}]}, "level: required by 'quantile'"),
-        ({"claims": [{"quantity": "mean", "level": 0.1}]}, "level: only 'quantile', 'cvar', 'share_of_starts' or"),
+        ({"claims": [{"quantity": "mean", "level": 0.1}]}, "level: 'quantile' 'cvar' 'share_of_starts'"),
         ({"claims": [{"quantity": "risk", "factor": 2.0}]}, "factor: no bound of 'risk'"),
         ({"claims": [{"quantity": "next_rollout", "level": 0.1, "delta": 0.1}]}, "delta: the level of 'next_rollout'"),
         (
             {"claims": [{"quantity": "quantile", "level": 0.01}]},
-            "max_tests: claims.0 needs at least 299 samples, not 60",
+            "max_tests: claims.0 least 299 60",
         ),
-        ({"claims": [{"quantity": "next_rollout", "level": 0.01}]}, "max_tests: claims.0 needs at least 99 samples"),
-        ({"claims": [LEVELS[0], LEVELS[0]]}, "claims.1: is there twice"),
-        ({"clip": None, "claims": [{"quantity": "mean"}]}, "clip: required by claims.0"),
-        ({"clip": (0.0, 1.0)}, "clip: \\[0.0, 1.0\\] must begin below 0"),
+        ({"claims": [{"quantity": "next_rollout", "level": 0.01}]}, "max_tests: claims.0 least 99"),
+        ({"claims": [LEVELS[0], LEVELS[0]]}, "claims.1: twice"),
+        ({"clip": None, "claims": [{"quantity": "mean"}]}, "clip: required claims.0"),
+        ({"clip": (0.0, 1.0)}, "clip: [0.0, 1.0] below 0"),
         (
             {"problem": {"jointly": True}, "claims": LEVELS[-1:]},
-            "jointly: claims.0 has a failure probability of its own",
+            "jointly: claims.0",
         ),
-        ({"until_counterexample": True, "claims": LEVELS[-1:]}, "claims.0.quantity: 'next_rollout' needs a number"),
-        ({"until_counterexample": True, "clip": None, "claims": LEVELS[1:2]}, "clip: required by claims.0 with until"),
-        ({"problem": {"resolution": 5}}, "resolution: has no meaning in method 'sample'"),
+        ({"until_counterexample": True, "claims": LEVELS[-1:]}, "claims.0.quantity: 'next_rollout'"),
+        (
+            {"until_counterexample": True, "clip": None, "claims": LEVELS[1:2]},
+            "clip: required claims.0 until_counterexample",
+        ),
+        ({"problem": {"resolution": 5}}, "resolution: 'sample'"),
         ({"problem": {"sense": "min"}}, "sense: has no meaning in method 'sample'"),
     ],
 )
 def test_what_cannot_be_claimed_is_refused(changes: dict[str, Any], reason: str) -> None:
-    with pytest.raises(ValidationError, match=reason):
+    with pytest.raises(ValidationError, match=facts(reason)):
         sampled(**changes)
 
 
@@ -384,7 +388,7 @@ def test_claims_about_drawn_starts_need_a_method_that_draws() -> None:
 
 
 def test_most_starts_of_a_noisy_system_need_a_clip(tmp_path: Path) -> None:
-    with pytest.raises(CampaignError, match=r"clip: required by claims\.0, the bound of a mean"):
+    with pytest.raises(CampaignError, match=facts("clip: required claims.0 mean")):
         simulate(tmp_path, sampled(clip=None, claims=LEVELS[3:4]), shaky, noisy=True)
 
 

@@ -46,7 +46,7 @@ SPEC = SystemSpec(
 
 def proposal(prior_mean: float, norm: float, noise: float | str, alpha: float, **more: Any) -> tuple[Constant, ...]:
     values = {"prior_mean": prior_mean, "rkhs_norm": norm, "noise_scale": noise, "alpha": alpha} | more
-    return tuple(Constant(key, value, f"It is {EVIL}") for key, value in values.items())
+    return tuple(Constant(key, value, "From 150 rollouts.") for key, value in values.items())
 
 
 def noise_of(constants: tuple[Constant, ...]) -> object:

@@ -14,6 +14,7 @@ from perfbound.schemas.file.problem_models import PaperProblem
 from perfbound.schemas.file.reader import parse_campaign
 from perfbound.schemas.system import Column, Option, Parameter, SystemSpec
 from tests.campaigns import FOLDER, config, table
+from tests.facts import facts, says
 
 PAPER = (FOLDER / "segway-paper.toml").read_text()
 
@@ -125,7 +126,7 @@ def test_a_problem_overrides_what_the_campaign_says() -> None:
 
 def test_an_override_of_the_command_line_replaces_a_key_and_is_checked() -> None:
     assert parse_campaign(PAPER.encode(), "c.toml", seed=7).seed == 7
-    assert fault_of(PAPER, seed=-1).startswith("seed: -1 is not allowed: allowed is a whole number >= 0")
+    assert says(fault_of(PAPER, seed=-1), "^seed: -1 >= 0")
     assert fault_of("", seed=7).startswith("the file is empty")
 
 
@@ -158,35 +159,35 @@ def test_on_a_list_of_starts_the_method_is_scenario() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "reason"),
     [
-        ("alpha = 0.05\n", "", "alpha: this key is required: a number > 0"),
-        ("alpha = 0.05", "alfa = 0.05", "alfa: unknown key; did you mean 'alpha'? "),
-        ("rkhs_norm = 2.0", "rkhs_norm = -1", "rkhs_norm: -1 is not allowed: allowed is a number > 0"),
-        ("alpha = 0.05", 'alpha = 0.05\nmethod = "best"', "method: 'best' is not allowed: allowed is one of 'paper'"),
+        ("alpha = 0.05\n", "", "^alpha: required > 0"),
+        ("alpha = 0.05", "alfa = 0.05", "^alfa: unknown 'alpha'"),
+        ("rkhs_norm = 2.0", "rkhs_norm = -1", "^rkhs_norm: -1 > 0"),
+        ("alpha = 0.05", 'alpha = 0.05\nmethod = "best"', "^method: 'best' 'paper'"),
         (
             "kernel = { length_scale = 1.0 }",
             "kernel = { nu = 0 }",
-            "kernel.nu: 0 is not allowed: allowed is a number > 0",
+            "^kernel.nu: 0 > 0",
         ),
         ("alpha = 0.05", "alpha = 0.05\nslack = 1", "slack: 1 must be at most alpha = 0.05"),
     ],
 )
 def test_a_fault_of_the_only_problem_is_named_where_it_is(old: str, new: str, reason: str) -> None:
     assert old in ONE_PROBLEM
-    assert fault_of(ONE_PROBLEM.replace(old, new)).startswith(reason)
+    assert says(fault_of(ONE_PROBLEM.replace(old, new)), reason)
 
 
 def test_a_key_of_the_campaign_below_a_table_is_told_where_it_stands() -> None:
     text = ONE_PROBLEM.replace("alpha = 0.05\n", "").replace("space.z =", "[space]\nalpha = 0.05\nz =")
-    assert "a key of the campaign stands above the first [table]" in fault_of(text)
+    assert says(fault_of(text), "above [table]")
 
 
 def test_keys_of_a_problem_at_the_top_are_refused_beside_problems() -> None:
-    assert fault_of("alpha = 1.0\n" + WRITTEN_OUT) == "alpha: belongs to a problem; move it below its [[problems]]"
+    assert says(fault_of("alpha = 1.0\n" + WRITTEN_OUT), "^alpha: below [[problems]]")
 
 
 def test_the_name_is_that_of_the_file() -> None:
     assert parse_campaign(ONE_PROBLEM.encode(), "runs/My Cars_2.toml").name == "my-cars_2"
-    with pytest.raises(CampaignError, match="name: this key is required: 1 to 64 of a-z"):
+    with pytest.raises(CampaignError, match=facts("name: required 1 64")):
         parse_campaign(ONE_PROBLEM.encode(), "\u00fc.toml")
 
 
@@ -196,15 +197,15 @@ def test_the_name_is_that_of_the_file() -> None:
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        (changed("horizon = 15.0", "horizon = 0.0"), "horizon: problem 'nominal_robustness' needs a rollout longer"),
-        (changed("clip = [-0.05, 0.75]", "clip = [1.0]"), "clip.1: [1.0] is not allowed: allowed is [low, high]"),
-        (changed('name = "segway-paper"', 'name = "A"'), "name: 'A' is not allowed: allowed is 1 to 64 of a-z"),
+        (changed("horizon = 15.0", "horizon = 0.0"), "^horizon: 'nominal_robustness'"),
+        (changed("clip = [-0.05, 0.75]", "clip = [1.0]"), "^clip.1: [1.0] [low high]"),
+        (changed('name = "segway-paper"', 'name = "A"'), "^name: 'A' 1 64"),
         (
             changed('name = "segway"\n', 'python = "hole:hole3"\n'),
-            "system.python: 'hole:hole3' is not allowed: allowed is FILE.py:NAME, a function or class in a file",
+            "^system.python: 'hole:hole3' FILE.py:NAME",
         ),
-        (changed('name = "segway"\n', ""), 'system.name: give one of name = "...", an installed system, python'),
-        (changed('gains = "paper"', "gains = [1]"), "system.gains: [1] is not allowed: allowed is text or a number"),
+        (changed('name = "segway"\n', ""), "^system.name: name = python"),
+        (changed('gains = "paper"', "gains = [1]"), "^system.gains: [1]"),
         (
             changed('gap = { kind = "signal_sup", column = "phi", lipschitz = 1.0 }', ""),
             "gap: required by problem 'sim_gap'",
@@ -213,12 +214,12 @@ def test_the_name_is_that_of_the_file() -> None:
             changed('name = "sim_gap"', 'name = "true_risk"').replace('sense = "max"', ""),
             "problems.true_risk.replicates: ",
         ),
-        (changed('name = "sim_gap"', 'name = "maximum"'), "problems.maximum.column: required by problem 'maximum'"),
+        (changed('name = "sim_gap"', 'name = "maximum"'), "^problems.maximum.column: required 'maximum'"),
         (
             changed('sense = "min"', 'column = "phi"'),
-            "problems.nominal_robustness.column: only problem 'maximum' has one",
+            "^problems.nominal_robustness.column: 'maximum'",
         ),
-        (changed('sense = "min"', "window = 2"), "problems.nominal_robustness.window: Algorithm 1 is sequential"),
+        (changed('sense = "min"', "window = 2"), "^problems.nominal_robustness.window: 1"),
         (changed('composition = "product"', 'composition = "single"'), "composition: 'single' is for one problem"),
         (
             PAPER.replace('"sim_gap"', '"nominal_robustness"').replace('"max"', '"min"'),
@@ -226,20 +227,20 @@ def test_the_name_is_that_of_the_file() -> None:
         ),
         (
             changed("low = 0.0, high = 5.0", "lo = 0.0, hi = 5.0"),
-            "space.x.lo: unknown key; did you mean 'low'? allowed",
+            "^space.x.lo: unknown 'low'",
         ),
         (changed("delta = 0.05", "delta = 2.0\nepsilon = 1"), "problems.nominal_robustness.epsilon: unknown key; "),
         (
             changed("delta = 0.05", "delta = 2.0").replace("alpha = 0.01", "alpha = 0"),
             "problems.nominal_robustness.delta: ",
         ),
-        (changed("delta = 0.05", "delta = 1979-05-27"), "problems.0.delta: 1979-05-27 is a date or time"),
+        (changed("delta = 0.05", "delta = 1979-05-27"), "^problems.0.delta: 1979-05-27"),
         ("problems = 3", "system: this key is required"),
-        ("composition = 3", "composition: 3 is not allowed: allowed is one of "),
+        ("composition = 3", "^composition: 3"),
     ],
 )
 def test_the_fault_is_named(text: str, reason: str) -> None:
-    assert fault_of(text).startswith(reason)
+    assert says(fault_of(text), reason)
 
 
 def test_every_fault_has_a_line() -> None:
@@ -309,9 +310,7 @@ def test_a_file_that_suits_its_system() -> None:
 
 def test_an_option_without_limits_takes_any_number_and_no_text() -> None:
     assert refused(changed("noise_variance = 0.05", "noise_variance = -1")).endswith("allowed is a number >= 0")
-    assert refused(changed("noise_variance = 0.05", 'mass = "heavy"')).endswith(
-        "'heavy' is not allowed: allowed is a number"
-    )
+    assert says(refused(changed("noise_variance = 0.05", 'mass = "heavy"')), "'heavy'")
     check_against(parse_campaign(changed("noise_variance = 0.05", "mass = -1e9").encode(), "c.toml"), SPEC, "c.toml")
 
 
@@ -323,7 +322,7 @@ def test_every_fault_against_the_system_has_a_line() -> None:
     )
     lines = refused(text).splitlines()
     assert [line.split(": ")[1] for line in lines] == ["space.z", "space.x", "system.gaims", "horizon"]
-    assert "unknown key; did you mean 'gains'? allowed" in lines[2]
+    assert says(lines[2], "unknown 'gains'")
 
 
 def test_a_parameter_is_meant() -> None:
@@ -340,11 +339,9 @@ def test_a_parameter_is_meant() -> None:
 
 
 def test_a_column_is_named_where_it_stands() -> None:
-    assert refused(changed('column = "phi"', 'column = "roll"')).startswith(
-        "c.toml: gap.column: no column 'roll'; segway"
-    )
+    assert says(refused(changed('column = "phi"', 'column = "roll"')), "^c.toml: gap.column: 'roll'")
     inner = changed('sense = "max"', 'gap = { column = "yaw" }')
-    assert refused(inner).startswith("c.toml: problems.sim_gap.gap.column: no column 'yaw'")
+    assert says(refused(inner), "^c.toml: problems.sim_gap.gap.column: 'yaw'")
 
 
 # Round trip
@@ -425,28 +422,24 @@ def test_any_bytes_are_a_campaign_or_one_fault(data: bytes) -> None:
         parse_campaign(data, "c.toml")
 
 
-LENGTHS = "a number > 0, or one per parameter: { name = number, ... }"
-
-
 @pytest.mark.parametrize(
-    ("value", "says"),
+    ("value", "reason"),
     [
-        ("-2.0", f"-2.0 is not allowed: allowed is {LENGTHS}"),
-        ("{}", f"a table is not allowed: allowed is {LENGTHS}"),
-        ("[1.0, 2.0]", f"[1.0, 2.0] is not allowed: allowed is {LENGTHS}"),
-        ("{ x = 1.0 }", "has x; give one number for each parameter of segway: x, y"),
-        ("{ x = 1.0, v = 2.0 }", "has x, v; give one number for each parameter of segway: x, y"),
+        ("-2.0", "-2.0 > 0"),
+        ("{}", "> 0"),
+        ("[1.0, 2.0]", "[1.0, 2.0] > 0"),
+        ("{ x = 1.0 }", "has x segway: x y"),
+        ("{ x = 1.0, v = 2.0 }", "has x v segway: x y"),
     ],
 )
-def test_a_length_scale_that_is_none(value: str, says: str) -> None:
+def test_a_length_scale_that_is_none(value: str, reason: str) -> None:
     text = changed("length_scale = 2.0", f"length_scale = {value}")
-    wanted = f"c.toml: problems.nominal_robustness.kernel.length_scale: {says}"
-    assert (f"c.toml: {fault_of(text)}" if LENGTHS in says else refused(text)) == wanted
+    assert says(refused(text), f"^c.toml: problems.nominal_robustness.kernel.length_scale: {reason}")
 
 
 def test_a_wrong_length_scale_of_one_parameter_is_named() -> None:
     (fault,) = faults_of(changed("length_scale = 2.0", "length_scale = { x = 0.0, y = 1.0 }"))
-    assert fault == "problems.nominal_robustness.kernel.length_scale.x: 0.0 is not allowed: allowed is a number > 0"
+    assert says(fault, "^problems.nominal_robustness.kernel.length_scale.x: 0.0 > 0")
 
 
 def test_a_length_scale_per_parameter_in_any_order() -> None:
@@ -465,31 +458,31 @@ def test_a_length_scale_per_parameter_in_any_order() -> None:
 # Method sample
 
 
+def of_method_sample(key: str) -> str:
+    claims = 'claims = [{ quantity = "mean" }]'
+    return f'specification = "v >= 0"\n{key} = 3\nsystem.name = "a"\nspace.x = [0, 1]\n{claims}'
+
+
 @pytest.mark.parametrize(
-    ("key", "owners", "others"),
+    ("key", "owners"),
     [
-        ("alpha", "'paper', 'rigorous' or 'scenario'", "one of those methods"),
-        ("rkhs_norm", "'paper', 'rigorous' or 'kriging'", "one of those methods"),
-        ("sigma", "'paper'", "that method"),
+        ("alpha", "'paper' 'rigorous' 'scenario'"),
+        ("rkhs_norm", "'paper' 'rigorous' 'kriging'"),
+        ("sigma", "'paper'"),
     ],
 )
-def test_a_key_of_another_method_is_no_unknown_key(key: str, owners: str, others: str) -> None:
-    text = (
-        f'specification = "v >= 0"\n{key} = 3\nsystem.name = "a"\nspace.x = [0, 1]\nclaims = [{{ quantity = "mean" }}]'
-    )
-    assert (
-        fault_of(text) == f"{key}: belongs to method {owners}, and not to 'sample'; remove this key, or choose {others}"
-    )
+def test_a_key_of_another_method_is_no_unknown_key(key: str, owners: str) -> None:
+    assert says(fault_of(of_method_sample(key)), f"^{key}: {owners} 'sample'")
 
 
 @pytest.mark.parametrize("key", ["c = 0.1", 'sigma = "std"', 'tail = "gaussian"', "refine = true"])
 def test_a_key_of_method_paper_in_method_rigorous_names_its_method(key: str) -> None:
     text = ONE_PROBLEM.replace("alpha = 0.05", f"alpha = 0.05\n{key}")
     name = key.partition(" ")[0]
-    wanted = "belongs to method 'paper', and not to 'rigorous'; remove this key, or choose that method"
-    assert faults_of(text) == [f"{name}: {wanted}"]
     beside = WRITTEN_OUT.replace("alpha = 0.05", f"alpha = 0.05\n{key}")
-    assert faults_of(beside) == [f"problems.robustness.{name}: {wanted}"]
+    for found, full in ((faults_of(text), name), (faults_of(beside), f"problems.robustness.{name}")):
+        (fault,) = found
+        assert says(fault, f"^{full}: 'paper' 'rigorous'")
 
 
 @pytest.mark.parametrize(
@@ -539,11 +532,15 @@ def test_no_other_method_derives_a_kernel(method: str) -> None:
     assert "kernel" in fault_of(text) if method == "paper" else fault_of(text)
 
 
+DRAFT = """horizon = 1
+specification = "value >= 0"
+system.name = "test-function"
+space.z1 = [0, 1]
+space.z2 = [0, 1]
+"""
+
+
 def test_a_draft_is_told_where_its_constants_come_from() -> None:
-    space = "space.z1 = [0, 1]\nspace.z2 = [0, 1]\n"
-    draft = f'horizon = 1\nspecification = "value >= 0"\nsystem.name = "test-function"\n{space}'
     with pytest.raises(CampaignError) as caught:
-        parse_campaign(draft.encode(), "c.toml")
-    assert caught.value.lines[-1] == (
-        "c.toml: a draft without constants of a kernel: `perfbound calibrate c.toml` proposes them"
-    )
+        parse_campaign(DRAFT.encode(), "c.toml")
+    assert says(caught.value.lines[-1], "^c.toml: kernel: `perfbound calibrate c.toml`")

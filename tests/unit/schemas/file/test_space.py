@@ -29,6 +29,7 @@ from perfbound.schemas.file.space import (
     space_kind,
 )
 from perfbound.schemas.system import Column, Parameter, SystemSpec
+from tests.facts import facts, says
 
 ROOT = Path(__file__).parents[4]
 HEAD = """specification = "v >= 0"
@@ -98,28 +99,28 @@ def test_the_short_form_is_the_same_campaign() -> None:
 @pytest.mark.parametrize(
     ("value", "reason"),
     [
-        ("[60, 5]", "space.gap.low: 60 must be less than high = 5"),
-        ("[5, 5]", "space.gap.low: 5 must be less than high = 5"),
-        ('["a", 5]', "space.gap.low: 'a' is not allowed: allowed is a number"),
-        ("[5, inf]", "space.gap.high: inf is not allowed: allowed is a number"),
-        ("[true, 5]", "space.gap.low: True is not allowed: allowed is a number"),
-        ("[5]", "space.gap: [5] is not allowed: allowed is the ends of its range, [0, 5], or a table: { low"),
-        ("[]", "space.gap: [] is not allowed: allowed is the ends of its range, [0, 5], or"),
-        ("[5, 6, 7]", "space.gap: [5, 6, 7] is not allowed: allowed is the ends of its range, [0, 5], or"),
-        ("[[5, 6], [7, 8]]", "space.gap: [[5, 6], [7, 8]] is not allowed: allowed is the ends of its range"),
-        ("5", "space.gap: 5 is not allowed: allowed is the ends of its range, [0, 5], or"),
-        ('"5-60"', "space.gap: '5-60' is not allowed: allowed is the ends of its range, [0, 5], or"),
-        ("{}", "space.gap.low: this key is required: a number"),
-        ("{ low = 5, hi = 6 }", "space.gap.hi: unknown key; did you mean 'high'? allowed are choices, distribution, h"),
+        ("[60, 5]", "^space.gap.low: 60 less high = 5"),
+        ("[5, 5]", "^space.gap.low: 5 less high = 5"),
+        ('["a", 5]', "^space.gap.low: 'a'"),
+        ("[5, inf]", "^space.gap.high: inf"),
+        ("[true, 5]", "^space.gap.low: True"),
+        ("[5]", "^space.gap: [5] [0 5] table: { low"),
+        ("[]", "^space.gap: [] [0 5]"),
+        ("[5, 6, 7]", "^space.gap: [5 6 7] [0 5]"),
+        ("[[5, 6], [7, 8]]", "^space.gap: [[5 6] [7 8]]"),
+        ("5", "^space.gap: 5 [0 5]"),
+        ('"5-60"', "^space.gap: '5-60' [0 5]"),
+        ("{}", "^space.gap.low: required"),
+        ("{ low = 5, hi = 6 }", "^space.gap.hi: unknown 'high'"),
     ],
 )
 def test_a_range_that_is_none(value: str, reason: str) -> None:
-    assert fault(f"gap = {value}").startswith(reason)
+    assert says(fault(f"gap = {value}"), reason)
 
 
 def test_a_space_that_is_none() -> None:
     text = HEAD.replace("[space]\n", "").replace("alpha", "space = [5, 60]\nalpha")
-    with pytest.raises(CampaignError, match=r"space: .* is not allowed: allowed is a table with one entry per param"):
+    with pytest.raises(CampaignError, match=facts("space: [5 60]")):
         parse_campaign(text.encode(), "c.toml")
 
 
@@ -209,66 +210,66 @@ def test_each_distribution_is_described_by_its_keys(name: DistributionName) -> N
     [
         (
             ranged("gauss", ""),
-            "space.gap.distribution: 'gauss' is not allowed: allowed is one of 'uniform', 'normal', ",
+            "^space.gap.distribution: 'gauss' 'uniform' 'normal'",
         ),
-        ("gap = { low = 5, high = 60, distribution = 3 }", "space.gap.distribution: 3 is not allowed: allowed is one"),
-        (ranged("normal", ""), "space.gap.mean: required by distribution 'normal'; give mean and sd"),
-        (ranged("normal", "mean = 20"), "space.gap.sd: required by distribution 'normal'; give mean and sd"),
-        (ranged("lognormal", "sigma = 1"), "space.gap.median: required by distribution 'lognormal'; give median and s"),
-        (ranged("triangular", ""), "space.gap.mode: required by distribution 'triangular'; give mode"),
-        (ranged("weibull", "scale = 1"), "space.gap.shape: required by distribution 'weibull'; give shape and scale"),
+        ("gap = { low = 5, high = 60, distribution = 3 }", "^space.gap.distribution: 3"),
+        (ranged("normal", ""), "^space.gap.mean: required 'normal' mean sd"),
+        (ranged("normal", "mean = 20"), "^space.gap.sd: required 'normal' mean sd"),
+        (ranged("lognormal", "sigma = 1"), "^space.gap.median: required 'lognormal' median sigma"),
+        (ranged("triangular", ""), "^space.gap.mode: required 'triangular' mode"),
+        (ranged("weibull", "scale = 1"), "^space.gap.shape: required 'weibull' shape scale"),
         (
             ranged("uniform", "mean = 20"),
-            "space.gap.mean: belongs to distribution 'normal', and this one is 'uniform'; ",
+            "^space.gap.mean: 'normal' 'uniform'",
         ),
         (
             ranged("normal", "mean = 20, sd = 5, mode = 3"),
-            "space.gap.mode: belongs to distribution 'triangular', and th",
+            "^space.gap.mode: 'triangular'",
         ),
-        (ranged("normal", "mean = 20, sd = 0"), "space.gap.sd: 0 is not allowed: allowed is a number > 0"),
-        (ranged("normal", "mean = 20, sd = -1"), "space.gap.sd: -1 is not allowed: allowed is a number > 0"),
-        (ranged("normal", "mean = 20, sd = inf"), "space.gap.sd: inf is not allowed: allowed is a number > 0"),
-        (ranged("normal", "mean = nan, sd = 1"), "space.gap.mean: nan is not allowed: allowed is a number"),
-        (ranged("normal", 'mean = "20", sd = 1'), "space.gap.mean: '20' is not allowed: allowed is a number"),
-        (ranged("normal", "mean = [20], sd = 1"), "space.gap.mean: [20] is not allowed: allowed is a number"),
-        (ranged("lognormal", "median = 0, sigma = 1"), "space.gap.median: 0 is not allowed: allowed is a number > 0"),
-        (ranged("lognormal", "median = 1, sigma = 0"), "space.gap.sigma: 0 is not allowed: allowed is a number > 0"),
-        (ranged("weibull", "shape = 0, scale = 1"), "space.gap.shape: 0 is not allowed: allowed is a number > 0"),
-        (ranged("weibull", "shape = 1, scale = 0"), "space.gap.scale: 0 is not allowed: allowed is a number > 0"),
-        (ranged("triangular", "mode = 4"), "space.gap.mode: 4 is not allowed: allowed is a number in [5, 60]"),
-        (ranged("triangular", "mode = 61"), "space.gap.mode: 61 is not allowed: allowed is a number in [5, 60]"),
+        (ranged("normal", "mean = 20, sd = 0"), "^space.gap.sd: 0 > 0"),
+        (ranged("normal", "mean = 20, sd = -1"), "^space.gap.sd: -1 > 0"),
+        (ranged("normal", "mean = 20, sd = inf"), "^space.gap.sd: inf > 0"),
+        (ranged("normal", "mean = nan, sd = 1"), "^space.gap.mean: nan"),
+        (ranged("normal", 'mean = "20", sd = 1'), "^space.gap.mean: '20'"),
+        (ranged("normal", "mean = [20], sd = 1"), "^space.gap.mean: [20]"),
+        (ranged("lognormal", "median = 0, sigma = 1"), "^space.gap.median: 0 > 0"),
+        (ranged("lognormal", "median = 1, sigma = 0"), "^space.gap.sigma: 0 > 0"),
+        (ranged("weibull", "shape = 0, scale = 1"), "^space.gap.shape: 0 > 0"),
+        (ranged("weibull", "shape = 1, scale = 0"), "^space.gap.scale: 0 > 0"),
+        (ranged("triangular", "mode = 4"), "^space.gap.mode: 4 [5 60]"),
+        (ranged("triangular", "mode = 61"), "^space.gap.mode: 61 [5 60]"),
         (
             ranged("weibull", "shape = 2, scale = 8", "low = -1, high = 60"),
-            "space.gap.low: -1 is not allowed: distribu",
+            "^space.gap.low: -1 'weibull'",
         ),
         (
             ranged("normal", "mean = 20, std = 1"),
-            "space.gap.std: unknown key; did you mean 'sd'? allowed are choices",
+            "^space.gap.std: unknown 'sd'",
         ),
-        ("gap = { low = 0, high = 10, step = 0 }", "space.gap.step: 0 is not allowed: allowed is a number > 0"),
-        ("gap = { low = 0, high = 10, step = 3 }", "space.gap.step: 3 must divide high - low = 10; choose another"),
+        ("gap = { low = 0, high = 10, step = 0 }", "^space.gap.step: 0 > 0"),
+        ("gap = { low = 0, high = 10, step = 3 }", "^space.gap.step: 3 high - low = 10"),
         (
             "gap = { low = 0, high = 10, step = 30 }",
-            "space.gap.step: 30 is not allowed: allowed are 1 to 1000000 steps",
+            "^space.gap.step: 30 1 1000000",
         ),
-        ("gap = { low = 0, high = 1, step = 1e-7 }", "space.gap.step: 1e-07 is not allowed: allowed are 1 to 1000000"),
-        ("gap = { choices = 3 }", "space.gap.choices: 3 is not allowed: allowed is a list of 2 to 1000 numbers"),
-        ("gap = { choices = [3] }", "space.gap.choices: [3] is not allowed: allowed is a list of 2 to 1000 numbers"),
-        ('gap = { choices = ["dry", 2] }', "space.gap.choices.0: 'dry' is not allowed: allowed is a list of 2 to 1000"),
-        ("gap = { choices = [1, nan] }", "space.gap.choices.1: nan is not allowed: allowed is a list of 2 to 1000"),
-        ("gap = { choices = [3, 4, 3.0] }", "space.gap.choices: 3 is there twice; list each value once"),
-        ("gap = { choices = [3, 3] }", "space.gap.choices: 3 is there twice; list each value once"),
-        ("gap = { choices = [3, 4], low = 2 }", "space.gap.low: follows from choices, 3; remove this key"),
-        ("gap = { choices = [3, 4], step = 1 }", "space.gap.choices: not allowed beside step; remove one of the two"),
+        ("gap = { low = 0, high = 1, step = 1e-7 }", "^space.gap.step: 1e-07 1 1000000"),
+        ("gap = { choices = 3 }", "^space.gap.choices: 3 2 1000"),
+        ("gap = { choices = [3] }", "^space.gap.choices: [3] 2 1000"),
+        ('gap = { choices = ["dry", 2] }', "^space.gap.choices.0: 'dry' 2 1000"),
+        ("gap = { choices = [1, nan] }", "^space.gap.choices.1: nan 2 1000"),
+        ("gap = { choices = [3, 4, 3.0] }", "^space.gap.choices: 3 twice"),
+        ("gap = { choices = [3, 3] }", "^space.gap.choices: 3 twice"),
+        ("gap = { choices = [3, 4], low = 2 }", "^space.gap.low: choices 3"),
+        ("gap = { choices = [3, 4], step = 1 }", "^space.gap.choices: step"),
         (
             ranged("triangular", "mode = 3, choices = [5, 60]"),
-            "space.gap.choices: not allowed beside distribution; rem",
+            "^space.gap.choices:",
         ),
-        ("gap = { distribution = 'normal', mean = 1, sd = 1 }", "space.gap.low: this key is required: a number"),
+        ("gap = { distribution = 'normal', mean = 1, sd = 1 }", "^space.gap.low: required"),
     ],
 )
 def test_a_distribution_that_is_none(text: str, reason: str) -> None:
-    assert fault(text).startswith(reason)
+    assert says(fault(text), reason)
 
 
 @pytest.mark.usefixtures("drawing")
@@ -298,39 +299,39 @@ def test_a_table_is_read_as_scenarios_are_and_keeps_repeated_rows() -> None:
 @pytest.mark.parametrize(
     ("space", "csv", "reason"),
     [
-        ('table = "../a.csv"', b"", "space.table: ../a.csv is not allowed: name a CSV file beside the campaign file"),
-        ('table = "a.csv"', b"\xff\xfe", "space.table: a.csv: not UTF-8; name a CSV file beside the campaign file"),
-        ('table = "a.csv"', b"", "space.table: a.csv: no start; allowed are 1 to 10000 rows of numbers"),
-        ('table = "a.csv"', b"gap,speed\n", "space.table: a.csv: no start; allowed are 1 to 10000 rows of numbers"),
+        ('table = "../a.csv"', b"", "^space.table: ../a.csv CSV"),
+        ('table = "a.csv"', b"\xff\xfe", "^space.table: a.csv: UTF-8 CSV"),
+        ('table = "a.csv"', b"", "^space.table: a.csv: 1 10000"),
+        ('table = "a.csv"', b"gap,speed\n", "^space.table: a.csv: 1 10000"),
         (
             'table = "a.csv"',
             b"1,2O\n3,4\n",
-            "space.table: a.csv: row 0 is '1,2O'; allowed are numbers, one start a row",
+            "^space.table: a.csv: 0 '1,2O'",
         ),
         # Python's `float` takes it, and a first row without any number passed for a header.
-        ('table = "a.csv"', b"1_0,2_0\n3,4\n", "space.table: a.csv: row 0 is '1_0,2_0'; allowed are numbers"),
-        ('table = "a.csv"', b"1,2\n3,4_0\n", "space.table: a.csv: row 1 is '3,4_0'; allowed are numbers"),
-        ('table = "a.csv"', b"1,2\n3,\n", "space.table: a.csv: row 1 is '3,'; allowed are numbers, one start a row"),
-        ('table = "a.csv"', b"1,2\n3,nan\n", "space.table: a.csv: row 1 is '3,nan'; allowed are numbers"),
+        ('table = "a.csv"', b"1_0,2_0\n3,4\n", "^space.table: a.csv: 0 '1_0,2_0'"),
+        ('table = "a.csv"', b"1,2\n3,4_0\n", "^space.table: a.csv: 1 '3,4_0'"),
+        ('table = "a.csv"', b"1,2\n3,\n", "^space.table: a.csv: 1 '3,'"),
+        ('table = "a.csv"', b"1,2\n3,nan\n", "^space.table: a.csv: 1 '3,nan'"),
         (
             'table = "a.csv"',
             b"1,2\n3\n",
-            "space.table: row 1 has 1 numbers, the first 2; give one per parameter in each",
+            "^space.table: 1 1 2",
         ),
-        ('table = "a.csv"', b"1,2\n" * (MAX_TABLE + 1), "space.table: a.csv: more than 10000 starts; allowed are 1 to"),
-        ('table = "a.csv"', b'"' + b"1" * 200_000, "space.table: a.csv: not CSV: field larger than field limit"),
-        ("table = 5", b"", "space.table: 5 is not allowed: allowed is the name of a CSV file with 1 to 10000 rows"),
-        ("table = [[1, 2]]\nheader = 3", b"", "space.header: 3 is not allowed: allowed is a list of texts"),
-        ("table = [[1, 2]]\nheader = [3]", b"", "space.header.0: 3 is not allowed: allowed is a list of texts"),
-        ("table = []", b"", "space.table: [] is not allowed: allowed is the name of a CSV file with 1 to 10000 rows"),
-        ("table = [[]]", b"", "space.table: row 0 has 0 numbers, the first 0; give one per parameter in each row"),
-        ('table = [["a"]]', b"", "space.table.0.0: 'a' is not allowed: allowed is the name of a CSV file"),
-        ('table = "a.csv"\ngap = [1, 2]', b"1,2\n", "space.gap: not allowed beside space.table, which has all paramet"),
-        ("scenarios = [[1, 2]]\ngap = [1, 2]", b"", "space.gap: not allowed beside space.scenarios, which has all pa"),
+        ('table = "a.csv"', b"1,2\n" * (MAX_TABLE + 1), "^space.table: a.csv: more 10000"),
+        ('table = "a.csv"', b'"' + b"1" * 200_000, "^space.table: a.csv: CSV: larger"),
+        ("table = 5", b"", "^space.table: 5 CSV 1 10000"),
+        ("table = [[1, 2]]\nheader = 3", b"", "^space.header: 3"),
+        ("table = [[1, 2]]\nheader = [3]", b"", "^space.header.0: 3"),
+        ("table = []", b"", "^space.table: [] CSV 1 10000"),
+        ("table = [[]]", b"", "^space.table: 0 0 0"),
+        ('table = [["a"]]', b"", "^space.table.0.0: 'a' CSV"),
+        ('table = "a.csv"\ngap = [1, 2]', b"1,2\n", "^space.gap: space.table"),
+        ("scenarios = [[1, 2]]\ngap = [1, 2]", b"", "^space.gap: space.scenarios"),
     ],
 )
 def test_a_table_that_is_none(space: str, csv: bytes, reason: str) -> None:
-    assert fault(space, csv).startswith(reason)
+    assert says(fault(space, csv), reason)
 
 
 @pytest.mark.usefixtures("drawing")
@@ -451,7 +452,7 @@ def test_a_distribution_is_refused_where_nothing_is_drawn(method: str) -> None:
 @pytest.mark.usefixtures("drawing")
 def test_the_error_names_the_methods_that_draw() -> None:
     text = METHODS["paper"] + HEAD + ranged("normal", "mean = 20, sd = 5")
-    with pytest.raises(CampaignError, match="give low and high alone, or choose method 'rigorous' or 'sample'"):
+    with pytest.raises(CampaignError, match=facts("'rigorous' 'sample'")):
         parse_campaign(text.encode(), "c.toml")
 
 
