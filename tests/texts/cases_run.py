@@ -29,7 +29,12 @@ def status(folder: Path) -> Cases:
 
 _CUT_AFTER = {"rigorous": 60, "refuted": 40, "violated": 20, "exact": 6, "sample": 30, "kriging": 60}
 """Rollouts after which campaigns are stopped."""
-_OF_THE_RUN = {r"run \w{16}": "run ID", r"[\d.,]+ rollouts/s": "N rollouts/s", r"\d+ s ago": "0 s ago", r"worker puppet.*\n": ""}
+_OF_THE_RUN = {
+    r"run \w{16}": "run ID",
+    r"[\d.,]+ rollouts/s": "N rollouts/s",
+    r"\d+ s ago": "0 s ago",
+    r"worker puppet.*\n": "",
+}
 
 
 def _status(directory: Path) -> str:
