@@ -12,6 +12,7 @@ from perfbound.orchestrator.hosts.authority import certificate_bytes
 from perfbound.schemas.link import configuration
 from perfbound.schemas.link.configuration import Tls
 from perfbound.schemas.link.unanswered import no_link
+from tests.facts import says
 from tests.fakes.certificates import DAY, Site
 from tests.sharing import free_port
 
@@ -47,7 +48,7 @@ def with_ca(tls: Tls, ca: Path) -> Tls:
 
 @pytest.mark.parametrize(
     ("at", "words"),
-    [(-40 * DAY, "by the clock of that host it has ended or not begun; compare the clocks"), (timedelta(), "")],
+    [(-40 * DAY, "clock ended not begun clocks"), (timedelta(), "")],
 )
 def test_the_other_side_finds_that_a_certificate_has_ended(
     site: Site, listening: Listening, at: timedelta, words: str
@@ -56,9 +57,8 @@ def test_the_other_side_finds_that_a_certificate_has_ended(
     with listening(site.tls("gate", "router", "127.0.0.1")) as endpoint:
         line = no_link([endpoint], "worker", ours)
         place = endpoint.removeprefix("tls/")
-    expected = f"{place} refuses {ours.certificate} ('node-1'): {words}"
-    assert line == (expected if words else line)
-    assert bool(words) or "no certificate is at fault; check that PERFBOUND_SECRET is the same" in line
+    expected = f"^{place} refuses {ours.certificate} ('node-1'): {words}"
+    assert says(line, expected if words else "no certificate PERFBOUND_SECRET")
 
 
 def test_the_other_side_has_another_authority(site: Site, listening: Listening, tmp_path: Path) -> None:
@@ -67,11 +67,11 @@ def test_the_other_side_has_another_authority(site: Site, listening: Listening, 
     with listening(theirs) as endpoint:
         place = endpoint.removeprefix("tls/")
         line = no_link([endpoint], "worker", ours)
-        assert line.startswith(f"the certificate of {place} is not signed by {site.ca}; give both sides certificates")
+        assert says(line, f"certificate {place} {site.ca} give both certificates")
         both = tmp_path / "both.pem"
         both.write_bytes(site.ca.read_bytes() + certificate_bytes(other.signer.certificate))
         line = no_link([endpoint], "worker", with_ca(ours, both))
-        assert line.startswith(f"{place} refuses {ours.certificate} ('node-1'): its --tls-ca has not signed it; ")
+        assert says(line, f"^{place} refuses {ours.certificate} ('node-1'): --tls-ca")
 
 
 def test_the_certificate_of_the_other_side(site: Site, listening: Listening) -> None:
@@ -91,12 +91,10 @@ def test_one_side_encrypts_and_the_other_does_not(site: Site, listening: Listeni
     with listening(site.tls("gate", "router", "127.0.0.1")) as endpoint:
         plain = endpoint.replace("tls/", "tcp/")
         line = no_link([plain], "worker", None)
-        assert line == f"{plain} is encrypted; write tls/HOST:PORT, with --tls-ca, --tls-certificate and --tls-key"
+        assert says(line, f"^{plain} tls/HOST:PORT --tls-ca --tls-certificate --tls-key")
     ours = site.tls("node-1", "worker")
     with listening(None) as endpoint:
         line = no_link([endpoint.replace("tcp/", "tls/")], "worker", ours)
         place = endpoint.removeprefix("tcp/")
-        assert line.startswith(
-            f"{place} takes connections and begins no TLS handshake within 1 s; choose the tls/ endpoint"
-        )
+        assert says(line, f"^{place} takes TLS 1 s tls/")
     assert no_link([endpoint], "worker", None).startswith(f"no answer from {endpoint} yet; ")

@@ -27,6 +27,7 @@ from perfbound.schemas.link.messages import Ack, Request
 from perfbound.workers.transport import ZenohUplink, connect
 from tests.contract.test_access import certificate  # noqa: F401
 from tests.contract.test_transport import RUN, SECRET, T, a_state, eventually, no_lines, no_waiting
+from tests.facts import facts
 from tests.patience import PATIENCE, patience
 from tests.sharing import free_port
 
@@ -172,7 +173,7 @@ def test_a_router_does_not_listen_beyond_this_machine_without_certificates() -> 
 
 def test_an_endpoint_in_use_is_one_line(site: Site) -> None:
     router, _ = site.router()
-    with pytest.raises(PerfboundError, match=r"--listen .*: this endpoint is in use; choose another port"):
+    with pytest.raises(PerfboundError, match=facts("--listen : endpoint another port")):
         site.router(router.endpoints[0])
 
 

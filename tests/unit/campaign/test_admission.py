@@ -30,6 +30,7 @@ from perfbound.schemas.link.messages import Assign, Request
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.trajectory.trajectory import Trajectory, encode, read_mcap
 from tests.campaigns import table
+from tests.facts import facts
 from tests.fakes.finished import KERNEL, a_pair
 from tests.fakes.puppets import Puppets, Stage
 
@@ -277,7 +278,7 @@ def contents_of(directory: Path) -> list[tuple[Any, ...]]:
 def test_a_discard_refuses_a_campaign_that_runs_and_one_that_finished_meanwhile(
     stuck: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with campaign_lock(stuck), pytest.raises(PerfboundError, match="another orchestrator is running this campaign"):
+    with campaign_lock(stuck), pytest.raises(PerfboundError, match=facts("another orchestrator running campaign")):
         discard_rollout(stuck, str(ODD), "in mid-run")
     discard_rollout(stuck, str(ODD), "before the end")
 

@@ -24,6 +24,7 @@ from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.result.certificate import Certificate
 from perfbound.schemas.rollout import RolloutRequest
+from tests.facts import says
 from tests.fakes.simulators import Crashed, Function, Stop, noise, predicate, robustness, simulate, statuses, verified
 
 KERNEL = {"nu": 2.5, "length_scale": 1.0}
@@ -120,7 +121,7 @@ def test_a_failure_that_does_not_repeat_refutes_and_changes_no_number(
     calm = predicate(simulate(tmp_path / "calm", config, honest, noisy=True))
     text = simulate(tmp_path / "run", config, failing_once(honest, how), noisy=True)
     assert refuted(text) == ["reproducible_rollouts"]
-    assert sentence(text, "reproducible_rollouts").startswith("an attempt at a rollout failed or gave another")
+    assert says(sentence(text, "reproducible_rollouts"), "rollout another")
     assert without(predicate(text), "reproducible_rollouts") == without(calm, "reproducible_rollouts")
     assert verified(tmp_path / "run") == []
 
@@ -161,7 +162,7 @@ def test_outcomes_that_crashes_select_are_listed(tmp_path: Path) -> None:
     assert predicate(text)["claims"][0]["bound"] > 0.7, "the claim is false"
     assert refuted(text) == []
     assert statuses(text)["unrelated_crashes"] == "assumed"
-    assert "nothing to do with the outcome of the rollout is assumed" in sentence(text, "unrelated_crashes")
+    assert says(sentence(text, "unrelated_crashes"), "nothing outcome assumed")
 
 
 # Replicates that are copies, and results that do not repeat
@@ -214,7 +215,7 @@ def test_repeated_results_of_tests_with_one_rollout_are_listed(tmp_path: Path) -
     single = robustness(NOISY | {"replicates": 1, "max_tests": 40}, clip=[0.0, 1.4], **CHECKS)
     text = simulate(tmp_path / "run", single, lambda r: min(honest(r), 0.7), noisy=True)
     assert refuted(text) == []
-    assert "which tests of one rollout each cannot tell apart" in sentence(text, "independent_rollouts/robustness")
+    assert says(sentence(text, "independent_rollouts/robustness"), "one rollout")
 
 
 @pytest.mark.rest
@@ -256,7 +257,7 @@ def test_a_sign_of_zero_is_a_difference(tmp_path: Path) -> None:
 def test_the_best_of_several_campaigns_is_listed(tmp_path: Path) -> None:
     text = simulate(tmp_path / "run", listed(), honest, noisy=True)
     assert statuses(text)["only_campaign"] == "assumed"
-    assert "whoever picks the best of several certificates" in sentence(text, "only_campaign")
+    assert says(sentence(text, "only_campaign"), "best several certificates")
 
 
 @pytest.mark.rest
@@ -366,7 +367,7 @@ def test_a_hole_is_refuted_with_its_start(tmp_path: Path, function: Callable[[fl
     assert (most["share"], most["quantity"], most["probability"]) == (0.1, "robustness", 0.95)
     assert most["bound"] == pytest.approx(0.7, abs=2e-9)
     (claim,) = worded(Certificate.model_validate_json(text).predicate)
-    assert claim.notes[-1].startswith("Without a kernel: on all but 10 % of the box the robustness is at least 0.7000")
+    assert says(claim.notes[-1], "kernel: 10 % least 0.7000")
     assert verified(directory) == []
 
 

@@ -16,6 +16,7 @@ from perfbound.schemas.errors import AuthorityError, LinkError
 from perfbound.schemas.link import key_expressions
 from perfbound.schemas.link.access import access_rules
 from perfbound.schemas.link.tls_files import Role, role_of
+from tests.facts import facts
 from tests.fakes.certificates import now
 
 TEXTS = st.text("abz019-._A/$* \n'\"", max_size=70) | st.from_regex(authority.HOST, fullmatch=True)
@@ -73,9 +74,9 @@ def test_hosts_are_names_and_addresses() -> None:
 
 def test_no_certificate_outlives_its_authority() -> None:
     signer = authority.new_authority(NOW, 10)
-    with pytest.raises(AuthorityError, match=r"--days 30: the authority itself ends at .*; choose --days 10 or less"):
+    with pytest.raises(AuthorityError, match=facts("--days 30: --days 10 less")):
         authority.issue_certificate(signer, Order("a", "worker"), NOW, 30)
-    with pytest.raises(AuthorityError, match=r"make a new one with `perfbound pki init --folder`"):
+    with pytest.raises(AuthorityError, match=facts("`perfbound pki init --folder`")):
         authority.issue_certificate(signer, Order("a", "worker"), NOW + timedelta(days=10), 1)
 
 
@@ -125,9 +126,9 @@ def is_apart(order: Order, others: list[Order]) -> bool:
 
 
 def test_a_name_has_one_role() -> None:
-    with pytest.raises(AuthorityError, match="'main': is the name of an issued orchestrator; choose another name"):
+    with pytest.raises(AuthorityError, match=facts("'main': orchestrator another")):
         check_apart(Order("main", "worker"), [Order("main", "orchestrator")])
-    with pytest.raises(AuthorityError, match="'main': is the name of an issued orchestrator"):
+    with pytest.raises(AuthorityError, match=facts("'main': orchestrator")):
         check_apart(Order("main", "worker"), [], [Order("main", "orchestrator")])
     check_apart(Order("main", "worker"), [Order("main", "worker"), Order("main-2", "orchestrator")])
     check_apart(Order("node-1", "worker"), [], [Order("node-1-2", "worker"), Order("node-1", "worker")])

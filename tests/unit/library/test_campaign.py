@@ -20,6 +20,7 @@ from perfbound.schemas.file.reader import load_campaign, parse_campaign
 from perfbound.schemas.trajectory.trajectory import Trajectory
 from perfbound.workers.systems.test_function import TestFunctionSystem
 from tests.campaigns import FOLDER
+from tests.facts import facts, says
 from tests.patience import PATIENCE
 
 pytestmark = pytest.mark.integration
@@ -89,41 +90,41 @@ def test_what_is_left_out_has_a_default() -> None:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"spezification": "value <= 1"}, "Campaign(test-function): spezification: unknown key; did you mean"),
-        ({"alpha": None}, "Campaign(test-function): alpha: this key is required"),
-        ({"space": {"z1": (5, 0), "z2": (0, 5)}}, "space.z1.low: 5 must be less than high = 0"),
-        ({"space": {"z1": (0, 5)}}, "space.z2: this parameter of test-function is required"),
+        ({"spezification": "value <= 1"}, "Campaign(test-function): spezification: unknown"),
+        ({"alpha": None}, "Campaign(test-function): alpha: required"),
+        ({"space": {"z1": (5, 0), "z2": (0, 5)}}, "space.z1.low: 5 less high = 0"),
+        ({"space": {"z1": (0, 5)}}, "space.z2: test-function required"),
         ({"space": {"z1": (0, 9), "z2": (0, 5)}}, "space.z1: [0, 9] leaves [0, 5]"),
         ({"options": {"noise": 1}}, "system.noise: unknown key"),
         ({"specification": "velue <= 1"}, "Campaign(test-function): specification: "),
-        ({"specification": object()}, "specification: object is not allowed: give text, number, list or dict"),
+        ({"specification": object()}, "specification: object"),
         ({"rkhs_norm": float("nan")}, "Campaign(test-function): rkhs_norm: nan is"),
         (
             {**dict.fromkeys([*PROBLEM, "kernel"]), "problems": 3, "composition": "single"},
-            "problems: 3 is not allowed: allowed is a list of tables",
+            "problems: 3",
         ),
-        ({"problems": [{"name": "robustness"}], "alpha": 0.1}, "alpha: belongs to a problem; move it below its"),
+        ({"problems": [{"name": "robustness"}], "alpha": 0.1}, "alpha: problem [[problems]]"),
     ],
 )
 def test_bad_arguments_are_lines_of_the_parser(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(CampaignError) as error:
         pb.Campaign("test-function", **{**KEYS, **changes})
-    assert words in str(error.value)
+    assert says(str(error.value), words)
     assert all(line.startswith("Campaign(test-function): ") and "\n" not in line for line in error.value.lines)
 
 
 @pytest.mark.parametrize(
     ("system", "words"),
     [
-        ("no-such", "Campaign(no-such): system: 'no-such' is not an installed system; allowed are"),
+        ("no-such", "Campaign(no-such): system: 'no-such'"),
         ("no/such.py:f", "there is no such Python file"),
-        (print, "Campaign(print): system: builtin_function_or_method is no system; put @perfbound.system above"),
+        (print, "Campaign(print): system: builtin_function_or_method @perfbound.system"),
     ],
 )
 def test_a_system_that_is_none_is_refused(system: object, words: str) -> None:
     with pytest.raises(CampaignError) as error:
         pb.Campaign(system, **KEYS)
-    assert words in str(error.value)
+    assert says(str(error.value), words)
 
 
 VALUES = st.recursive(
@@ -203,15 +204,13 @@ def test_a_script_without_a_guard_begins_no_campaign_in_its_workers(tmp_path: Pa
     script = tmp_path / "script.py"
     script.write_text(SCRIPT)
     ended = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=PATIENCE, check=False)
-    assert "put this call and what follows under `if __name__ == '__main__':`" in ended.stdout, ended.stderr
+    assert says(ended.stdout, "`if __name__ == '__main__':`"), ended.stderr
     assert ended.returncode == 0
 
 
 def test_a_file_that_begins_a_campaign_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("perfbound.library.system_argument.loading", lambda: Path("a.py"))
-    with pytest.raises(
-        DefinitionError, match=r"a\.py: workers load this file for its system, and that must not call pb"
-    ):
+    with pytest.raises(DefinitionError, match=facts("a.py: workers system pb")):
         pb.Campaign("test-function", **KEYS)
 
 
@@ -247,14 +246,14 @@ def test_a_file_that_nothing_could_run_is_not_saved(tmp_path: Path) -> None:
     campaign = pb.Campaign(
         rig, **{**KEYS, "space": {"z1": (0, 5)}, "noise_scale": 0.0, "kernel": {"length_scale": 1.0}}
     )
-    with pytest.raises(CampaignError, match="brake is a rig, so no command can run a campaign file of it"):
+    with pytest.raises(CampaignError, match=facts("brake rig campaign file")):
         campaign.save(tmp_path / "c.toml")
     assert not (tmp_path / "c.toml").exists()
 
 
 def test_a_trajectory_is_one_line_and_an_unknown_column_lists_the_known() -> None:
     found = Trajectory(("t", "angle"), np.array([[0.0, 1.0], [0.5, 2.0]]))
-    assert repr(found) == "<Trajectory of 2 samples, 0 to 0.5 s: angle>"
+    assert says(repr(found), "^<Trajectory 2 0 to 0.5 s angle>")
     with pytest.raises(KeyError, match="no column 'angel'; there are t, angle"):
         found.column("angel")
 
@@ -274,7 +273,7 @@ def test_a_campaign_of_several_requirements_shows_their_formulas() -> None:
 
 @pytest.mark.parametrize("limits", [("0", 1), (1,), (1, 2, 3), (0, float("nan")), (0, None), (True, [1])])
 def test_a_parameter_without_two_numbers_is_one_line(limits: Any) -> None:
-    with pytest.raises(PerfboundError, match=r"give two numbers, as in Parameter\(0, 5, unit='m'\)") as error:
+    with pytest.raises(PerfboundError, match=facts("Parameter(0, 5, unit='m')")) as error:
         pb.Parameter(*limits)
     assert "pydantic" not in str(error.value)
     assert "\n" not in str(error.value)
@@ -287,23 +286,23 @@ def test_a_parameter_without_two_numbers_is_one_line(limits: Any) -> None:
             pb.Parameter,
             (),
             {"low": "a", "high": 1},
-            r"Parameter\(low='a', high=1\): low: 'a': a finite number is",
+            "Parameter(low='a', high=1): low: 'a'",
         ),
-        (pb.Parameter, (), {"low": 0}, r"Parameter\(low=0\): Parameter needs high; give two numbers"),
+        (pb.Parameter, (), {"low": 0}, "Parameter(low=0): high two numbers"),
         (pb.Parameter, (0, 1), {"low": 0}, "not two limits"),
-        (pb.Parameter, (5, 1), {}, "its lower end 5 is above its upper end 1; exchange them"),
-        (pb.Parameter, (0, 1), {"units": "m"}, "Parameter has no units; it has name, unit, low, high, signal"),
+        (pb.Parameter, (5, 1), {}, "lower 5 above 1 exchange"),
+        (pb.Parameter, (0, 1), {"units": "m"}, "Parameter units name unit low high signal"),
         (pb.Column, ("x", "m"), {}, "give the fields of Column by their names"),
-        (pb.Column, (), {"name": "X", "unit": "m"}, "name: 'X': a name consists of a-z, 0-9 and _, the first is a"),
+        (pb.Column, (), {"name": "X", "unit": "m"}, "name: 'X': a-z 0-9 _"),
         (pb.Option, (), {"default": 1.0}, "Option needs name"),
-        (pb.SystemSpec, (), {"name": "a_b"}, "name: 'a_b': a name consists of a-z, 0-9 and -"),
+        (pb.SystemSpec, (), {"name": "a_b"}, "name: 'a_b': a-z 0-9 -"),
         (pb.SystemSpec, (), {"name": "a"}, "SystemSpec needs doc"),
     ],
 )
 def test_what_is_written_in_python_is_refused_in_one_line(
     model: Callable[..., object], limits: tuple[Any, ...], fields: dict[str, Any], words: str
 ) -> None:
-    with pytest.raises(PerfboundError, match=words) as error:
+    with pytest.raises(PerfboundError, match=facts(words)) as error:
         model(*limits, **fields)
     assert "pydantic" not in str(error.value)
     assert "\n" not in str(error.value)

@@ -8,6 +8,7 @@ from perfbound.orchestrator.prepare.seen_margins import SeenMargins
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.system import Variant
 from perfbound.schemas.trajectory.trajectory import Trajectory
+from tests.facts import says
 from tests.fakes.simulators import robustness, spec
 
 PROBLEM = {"method": "rigorous", "alpha": 0.1, "rkhs_norm": 2.0, "noise_scale": 0.1, "kernel": {"length_scale": 0.7}}
@@ -40,12 +41,12 @@ def margins(found: list[tuple[tuple[float, ...], int, float]], *, noisy: bool = 
 def test_each_rollout_counts_once_and_the_worst_is_named() -> None:
     corner, middle = (0.0, 0.0), (0.5, 0.25)
     seen = margins([(corner, 1, 0.5), (middle, 2, -3.0), (middle, 3, -0.5), (middle, 2, -3.0)])
-    assert seen.words == "2 of 3 rollouts violate the specification; the worst -3.0000 at z1 = 0.5, z2 = 0.25, seed 2"
+    assert says(seen.words, "^2 3 rollouts -3.0000 z1 = 0.5 z2 = 0.25 seed 2")
     found = seen.violations
     assert found is not None
     assert (found.starts, found.violating_starts) == (2, 1)
-    assert margins([(corner, 1, -0.5), (middle, 1, 0.0)], noisy=False).words == (
-        "1 of 2 rollouts violates the specification; the worst -0.5000 at z1 = 0, z2 = 0"
+    assert says(
+        margins([(corner, 1, -0.5), (middle, 1, 0.0)], noisy=False).words, "^1 2 rollouts -0.5000 z1 = 0 z2 = 0"
     )
 
 

@@ -10,6 +10,7 @@ import pytest
 from perfbound.orchestrator.report.listing import DEPTH, campaigns_below, listing, run_directories
 from perfbound.schemas.errors import PerfboundError
 from perfbound.schemas.rollout import RolloutRequest
+from tests.facts import facts
 from tests.fakes.simulators import robustness, simulate, spec
 
 FIXTURES = Path(__file__).parents[2] / "fixtures" / "finished"
@@ -87,7 +88,7 @@ def test_a_search_looks_at_everything_that_is_shown(folder: Path, text: str, nam
 
 
 def test_a_missing_folder_is_named(tmp_path: Path) -> None:
-    with pytest.raises(PerfboundError, match=r"nowhere: no such folder; name the one with the run directories"):
+    with pytest.raises(PerfboundError, match=facts("nowhere: folder")):
         list(campaigns_below(tmp_path / "nowhere"))
 
 

@@ -42,6 +42,7 @@ from perfbound.workers.systems.base import Cancelled, SystemUnderTest
 from perfbound.workers.transport import Receiver
 from perfbound.workers.worker import WorkerProcess
 from tests.campaigns import UNCHECKED
+from tests.facts import facts, says
 from tests.fakes.inmemory import (
     Faults,
     InMemoryUplink,
@@ -263,7 +264,7 @@ def test_a_file_that_comes_out_different_is_not_put_back(tmp_path: Path) -> None
     with (
         Network() as network,
         working(network, run_of(directory), [liar]),
-        pytest.raises(PerfboundError, match=r"computes other floating-point results; restore the file from a copy"),
+        pytest.raises(PerfboundError, match=facts("other file copy")),
     ):
         serve(directory, network, Log(), resumed=True)
     assert "restored" not in outcomes(directory)
@@ -313,9 +314,9 @@ class Altered:
         ({"version": "0.0.1"}, "install the same version on both"),
         ({"protocol": PROTOCOL + 1}, "install the same version on both"),
         ({"systems": {}}, "has no system 'test-function'"),
-        ({"platform": "other-7-glibc-2.5"}, f"platform is other-7-glibc-2.5, the campaign's {platform_class()}, and"),
+        ({"platform": "other-7-glibc-2.5"}, "other-7-glibc-2.5 campaign's"),
         ({"platform": ""}, "platform is unknown"),
-        ({"systems": {"test-function": "0" * 64}, "parts": {}}, "has other files or versions of packages than"),
+        ({"systems": {"test-function": "0" * 64}, "parts": {}}, "other files"),
     ],
 )
 def test_a_worker_that_does_not_fit_is_refused(tmp_path: Path, change: dict[str, Any], reason: str) -> None:
@@ -327,7 +328,7 @@ def test_a_worker_that_does_not_fit_is_refused(tmp_path: Path, change: dict[str,
             serve(directory, network, log, stop=lambda seen: bool(refused))
         assert stopped.value.signal == 2
     assert len(refused) == 1
-    assert reason in refused[0]
+    assert says(refused[0], reason)
     assert "\n" not in refused[0]
     (line,) = log.lines
     assert line.startswith("refused worker worker-0-")
@@ -817,4 +818,4 @@ def test_a_failure_before_its_cancel_is_one_of_the_system(monkeypatch: pytest.Mo
     served(worker, uplink, 1)
     (header,) = uplink.results
     assert header.kind == "system"
-    assert header.error.startswith("RuntimeError: the step failed (test_service.py, line ")
+    assert says(header.error, "^RuntimeError: step test_service.py")

@@ -14,6 +14,7 @@ from perfbound.schemas.system import SystemSpec
 from perfbound.workers import systems, worker
 from perfbound.workers.systems.segway import SegwaySystem, bullet
 from perfbound.workers.systems.test_function import TestFunctionSystem
+from tests.facts import facts
 
 CALLED = "pybullet.cpython-311-x86_64-linux-gnu.so,sha256=0,1\n"
 
@@ -52,7 +53,7 @@ def test_the_segway_names_every_package_that_provides_its_simulator(
 
 def test_without_a_simulator_the_segway_says_how_to_get_it_and_hides_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
     install(monkeypatch)
-    with pytest.raises(UnknownSystemError, match=r"use Python 3\.11, or install a fork .*: pip install pybullet-arm64"):
+    with pytest.raises(UnknownSystemError, match=facts("Python 3.11 pip install pybullet-arm64")):
         _ = SegwaySystem().spec
     monkeypatch.setattr(systems, "load_system", {"segway": SegwaySystem(), "test-function": TestFunctionSystem()}.get)
     found = systems.usable()
@@ -85,8 +86,8 @@ def test_the_orchestrator_gives_the_reason_where_the_system_is_named(monkeypatch
     answer = json.dumps({"segway": bullet.NEEDS, "test-function": spec.model_dump(mode="json")})
     monkeypatch.setattr(child, "ask", lambda *_: answer)
     assert child.system_specs() == {"test-function": spec}
-    with pytest.raises(CampaignError, match=r"^c.toml: system.name: segway: no installed package provides .*arm64$"):
+    with pytest.raises(CampaignError, match=facts("^c.toml: system.name: segway: arm64")):
         child.system_spec("segway", "c.toml: system.name")
-    with pytest.raises(CampaignError, match="'unicycle' is not an installed system; allowed are segway, test-function"):
+    with pytest.raises(CampaignError, match=facts("'unicycle' segway test-function")):
         child.system_spec("unicycle", "c.toml: system.name")
     assert [line for line in simulate.describe() if line.startswith("segway")] == [bullet.NEEDS]

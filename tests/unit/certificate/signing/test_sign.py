@@ -40,6 +40,7 @@ from perfbound.schemas.result.certificate import (
     Subject,
 )
 from tests.campaigns import FOLDER
+from tests.facts import says
 
 KEY = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))
 OTHER = Ed25519PrivateKey.from_private_bytes(bytes(range(1, 33)))
@@ -142,7 +143,7 @@ def test_what_is_no_envelope_is_one_known_error(text: bytes) -> None:
         (changed(ENVELOPE, payload="é"), "payload of the envelope is not base64"),
         (resigned(ENVELOPE, sig=SIG[:-4]), "does not fit"),
         (resigned(ENVELOPE, sig=""), "does not fit"),
-        (resigned(ENVELOPE, sig=SIG[:-3] + "B=="), "a signature of the envelope is not base64"),
+        (resigned(ENVELOPE, sig=SIG[:-3] + "B=="), "signature base64"),
         (resigned(ENVELOPE, keyid="f" * 64), "no signature by key"),
         (ENVELOPE.replace(b'"payload":', b'"payload": "", "payload":', 1), "a key is repeated"),
         (ENVELOPE + b" " * sign.MAX_ENVELOPE, "more than"),
@@ -151,7 +152,7 @@ def test_what_is_no_envelope_is_one_known_error(text: bytes) -> None:
 def test_a_fault_is_named(envelope: bytes, fault: str) -> None:
     with pytest.raises(SignatureError) as error:
         sign.signed_payload(envelope, KEY.public_key())
-    assert fault in str(error.value)
+    assert says(str(error.value), fault)
     assert "\n" not in str(error.value)
 
 
@@ -482,10 +483,7 @@ def test_a_key_is_made_in_the_folder_for_configurations(tmp_path: Path) -> None:
 def test_a_folder_for_configurations_that_cannot_be_made(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     fault = refused(command("keygen", "k", XDG_CONFIG_HOME=str(tmp_path / "file")))
-    assert (
-        fault
-        == f"{tmp_path / 'file' / 'perfbound' / 'keys'}: cannot be made (Not a directory); choose a folder with --out"
-    )
+    assert says(fault, f"^{tmp_path / 'file' / 'perfbound' / 'keys'}: folder --out")
 
 
 @pytest.mark.parametrize("kind", ["folder", "file", "none"])

@@ -6,6 +6,7 @@ import pytest
 
 from perfbound.orchestrator.prepare.init.new_package import package_files, write_package
 from perfbound.schemas.errors import PerfboundError
+from tests.facts import facts
 
 
 def test_its_code_is_python_and_its_name_everywhere_the_same() -> None:
@@ -26,7 +27,7 @@ def test_a_name_that_is_none_is_refused(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["class", "json", "numpy", "perfbound", "segway", "tests"])
 def test_a_name_of_something_else_is_refused(name: str) -> None:
-    with pytest.raises(PerfboundError, match=f"is the name of something else; choose another one: my-{name}"):
+    with pytest.raises(PerfboundError, match=facts(f"another one: my-{name}")):
         package_files(name)
 
 

@@ -35,6 +35,7 @@ from perfbound.schemas.result.facts import BoundFact, Header, ObservationFact, P
 from perfbound.schemas.values import Bound, Observation, Proposal, StoppedBy
 from perfbound.workers.systems.test_function import TestFunctionSystem
 from tests import campaigns
+from tests.facts import facts
 
 # Which campaigns
 
@@ -61,7 +62,7 @@ def test_missing_files_and_problems_are_named(tmp_path: Path) -> None:
     with pytest.raises(CampaignError, match=r"test-function\.toml: No such file"):
         study.planned(extent, tmp_path, tmp_path)
     shutil.copy(campaigns.FOLDER / "test-function-rigorous.toml", tmp_path / "test-function.toml")
-    with pytest.raises(PerfboundError, match=r"the study needs 'maximum' with method 'paper'"):
+    with pytest.raises(PerfboundError, match=facts("'maximum' method 'paper'")):
         study.planned(extent, tmp_path, tmp_path)
 
 

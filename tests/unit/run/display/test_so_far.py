@@ -44,6 +44,7 @@ from perfbound.schemas.result.known import Expected, SoFar, Span
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.values import MARKED, Bound, ProblemProgress
 from tests.campaigns import FOLDER
+from tests.facts import says
 from tests.fakes.simulators import noise, robustness, simulate, spec
 
 RIGOROUS: dict[str, Any] = {
@@ -193,7 +194,7 @@ def test_without_a_link_to_the_router_no_time_is_expected(tmp_path: Path) -> Non
     assert up.expected.seconds is not None
     assert down.expected == up.expected.model_copy(update={"seconds": None})
     assert holding_rows(up)[1].verdict.startswith("SHOWN, in about ")
-    assert holding_rows(down)[1].verdict == "SHOWN, no time is estimated without the link to the router"
+    assert says(holding_rows(down)[1].verdict, "^SHOWN no time link router")
 
 
 def test_status_reports_a_link_that_is_down(tmp_path: Path) -> None:
@@ -207,7 +208,7 @@ def test_status_reports_a_link_that_is_down(tmp_path: Path) -> None:
             return in_words(tmp_path), status_object(tmp_path)["router_link_down_for"]
 
         text, seconds = status(RouterLink(75.0, 0))
-        assert "the link to the router has been down for 1 min 15 s: no rollout can arrive\n" in text
+        assert says(text, "link router 1 min 15 s no rollout")
         assert seconds == pytest.approx(75.0, abs=30.0)
         for link in (RouterLink(None, 1), None):
             text, seconds = status(link)
@@ -359,21 +360,23 @@ def test_a_fault_in_it_does_not_stop_the_campaign(tmp_path: Path, monkeypatch: p
         for second in range(3):
             listener.show(status_of(ledger, seconds=second, recorded=0))
     (line,) = output.lines
-    assert "what holds so far cannot be computed, and is not shown: ZeroDivisionError" in line
+    assert says(line, "not shown: ZeroDivisionError")
     assert output.found == []
 
 
 @pytest.mark.parametrize(
     ("config", "function", "words"),
     [
-        (CASES["kriging"][0], CASES["kriging"][1], "Method kriging claims nothing before its last test."),
-        (a_rigorous_one(), quiet, "Nothing is proven yet: too few tests have ended."),
+        (CASES["kriging"][0], CASES["kriging"][1], "kriging nothing last test"),
+        (a_rigorous_one(), quiet, "few tests"),
     ],
 )
 def test_where_nothing_is_proven_it_says_so(tmp_path: Path, config: CampaignConfig, function: Any, words: str) -> None:
     cut(tmp_path, config, function, after=50 if "kriging" in words else 2)
     found, _ = shown(tmp_path)
-    assert (found.verdict, found.bound, found.reasons) == ("NOT SHOWN", None, (words,))
+    assert (found.verdict, found.bound) == ("NOT SHOWN", None)
+    (reason,) = found.reasons
+    assert says(reason, words)
     assert holding_rows(found)[0].bound == "nothing yet"
     assert "with probability" not in Collector(tmp_path).refresh().now, "the page agrees"
 
@@ -382,7 +385,7 @@ def test_a_bound_of_a_method_with_a_fixed_budget_is_no_bound_so_far(tmp_path: Pa
     cut(tmp_path, *CASES["kriging"][:2], after=50)
     page = Collector(tmp_path).refresh()
     assert page.problems[0].bound is not None
-    assert page.now.startswith("robustness: not yet a bound. Method kriging claims one only where it stops; if its bud")
+    assert says(page.now, "^robustness: not bound kriging")
     stream = StringIO()
     lines = Plain(Console(file=stream, width=300))
     lines._last -= PLAIN_PERIOD
@@ -398,7 +401,7 @@ def test_the_line_counts_one_test_and_says_once_that_there_is_no_forecast(tmp_pa
         update={"expected": found.expected.model_copy(update={"by_budget": True, "bound": None, "most_tests": 4100})}
     )
     line = so_far_line(early.model_copy(update={"tests": 1}))
-    assert ", 1 test); expected at the end: no forecast yet, open, " in line
+    assert says(line, "1 test expected no forecast open")
     assert line.count("forecast") == 1
     assert line.endswith(" % of the budget of 4,100 tests")
     assert ", 1,200 tests); " in so_far_line(early.model_copy(update={"tests": 1200}))
@@ -416,7 +419,7 @@ def test_a_refutation_is_reported_once_with_what_follows(tmp_path: Path, key: st
     assert found.refuted
     assert holding_rows(found)[0].bound.endswith(", refuted")
     line = refutation_line(found.assumptions[0], one[1])
-    assert line.startswith("REFUTED: replicate_spread/robustness: the replicates of ")
+    assert says(line, "^REFUTED: replicate_spread/robustness: replicates")
     assert "\n" not in line
 
 
@@ -450,7 +453,7 @@ def test_the_share_of_the_work_follows_the_forecast_and_is_of_the_budget_before(
     assert early.tests is None
     assert early.share == pytest.approx(5 / 1000)
     assert bar_words(early) == "0 % of the budget of 1,000 tests"
-    assert left_words(early) == "in 8 min 18 s at most, when the budget ends"
+    assert says(left_words(early), "^in 8 min 18 s at most budget")
     later = expected(config, {"robustness": progress(200)}, {}, NO_CHECKS, rate=2.0)
     assert not later.by_budget
     assert later.tests is not None
@@ -510,7 +513,7 @@ def test_a_share_falls_only_with_a_word(tmp_path: Path) -> None:
     assert output.lines == []
     assert share(0.3) == 0.3
     (line,) = output.lines
-    assert line.startswith("the forecast has grown: 30 % of the work is done, and not 52 %")
+    assert says(line, "forecast 30 % not 52 %")
     assert [share(0.6, 10.0), share(0.2, 59.0), share(0.2, 60.0)] == [0.6, 0.6, 0.2], "at most one line a minute"
     assert len(output.lines) == 2
 

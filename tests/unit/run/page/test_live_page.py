@@ -19,6 +19,7 @@ from perfbound.orchestrator.run.page.page_feed import message, read_message
 from perfbound.orchestrator.run.service import RunStatus
 from perfbound.schemas.errors import PerfboundError
 from tests.campaigns import config
+from tests.facts import facts, says
 from tests.fakes.inmemory import Log, campaign
 from tests.patience import PATIENCE
 
@@ -51,7 +52,7 @@ def test_what_is_no_address(text: str) -> None:
 def test_others_are_let_in_only_when_that_is_said(host: str) -> None:
     if host == "::" and not socket.has_dualstack_ipv6():
         pytest.skip("switch on IPv6: sysctl net.ipv6.conf.all.disable_ipv6=0")
-    with pytest.raises(PerfboundError, match=r"anyone on the way to this address could .* --insecure"):
+    with pytest.raises(PerfboundError, match=facts("address --insecure")):
         bind(Address(host), insecure=False)
     listening, address = bind(Address(host), insecure=True)
     with listening:
@@ -62,13 +63,13 @@ def test_others_are_let_in_only_when_that_is_said(host: str) -> None:
 def test_a_port_that_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("perfbound.orchestrator.run.page.address.PATIENCE", 0.1)
     first, address = bind(Address(), insecure=False)
-    with first, pytest.raises(PerfboundError, match="this port is in use; choose another, or 0 for a free one"):
+    with first, pytest.raises(PerfboundError, match=facts("port another 0")):
         bind(address, insecure=False)
 
 
 @pytest.mark.parametrize("host", ["nowhere.invalid", "192.0.2.1", "." * 300])
 def test_a_host_that_is_not_here(host: str) -> None:
-    with pytest.raises(PerfboundError, match=r"cannot listen there \(.*\); check the address"):
+    with pytest.raises(PerfboundError, match=facts("address")):
         bind(Address(host), insecure=True)
 
 
@@ -158,7 +159,7 @@ def test_a_child_that_ends_is_said_once(opened: Opened, status: RunStatus, tmp_p
         lines = said(page)
         (ended,) = [line for line in lines if "has ended" in line]
         assert ended.startswith("the live page has ended: exit code 3")
-        assert ended.endswith(f". The campaign continues; `perfbound web {tmp_path / 'run'}` shows it")
+        assert says(ended, f"`perfbound web {tmp_path / 'run'}`")
         assert "something is wrong" in "\n".join(lines)
         page.show(status)
         assert said(page) == lines

@@ -27,6 +27,7 @@ from perfbound.schemas.errors import TrajectoryError
 from perfbound.schemas.trajectory import file_checks
 from perfbound.schemas.trajectory import trajectory as module
 from perfbound.schemas.trajectory.trajectory import Trajectory, Transform, Visual, decode, encode
+from tests.facts import facts
 
 UNITS = {"t": "s", "x": "m", "phi": "rad"}
 REQUEST: dict[str, Any] = {"seed": 7, "x": [1.0, 2.0]}
@@ -95,7 +96,7 @@ def test_what_is_no_trajectory_is_refused(columns: tuple[str, ...], samples: Any
 
 def test_a_number_that_is_not_finite_is_named_with_its_column_and_time() -> None:
     samples = np.column_stack([np.arange(4) * 0.5, np.zeros(4), [0.0, 1.0, np.nan, np.nan]])
-    with pytest.raises(ValueError, match=r"samples are not finite: rate is nan at t = 1 s, row 2; fix the arithmetic"):
+    with pytest.raises(ValueError, match=facts("finite: nan t = 1 s 2 fix")):
         Trajectory(("t", "angle", "rate"), samples)
 
 
