@@ -168,7 +168,7 @@ class Judge:
         """
         usual = self._without_mutant(tree, stage)
         limit = LONGER * usual.seconds + SPARE
-        line = ["-x", *stage.arguments(), *(f"--deselect={each}" for each in usual.failing)]
+        line = ["-x", *stage.arguments, *(f"--deselect={each}" for each in usual.failing)]
         with tree.with_(mutant):
             ended = tree.run(line, limit)
             # Tests with processes and clocks may fail on a busy machine: such a failure has to repeat itself.

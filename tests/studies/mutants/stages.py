@@ -1,7 +1,8 @@
 """Which tests a mutant meets, from those of its folder to all of `make test`; the first failure ends it."""
 
-from collections.abc import Callable, Iterator, Sequence
+import re
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path, PurePosixPath
 
 from tests.architecture.source import FLOORS
@@ -17,39 +18,48 @@ class Stage:
     """A run of pytest."""
 
     number: int
-    paths: tuple[str, ...]
-    without: str | None
-    """Folder of an earlier stage."""
+    arguments: tuple[str, ...]
+    """What pytest gets: files, in the order of their tests."""
     usual: tuple[str, ...]
-    """Paths of the run without a mutant which shows how long this one may take."""
-
-    def arguments(self) -> list[str]:
-        """Return what pytest gets."""
-        return [*self.paths, *([] if self.without is None else [f"--ignore={self.without}"])]
+    """What it gets for the run without a mutant which shows how long this one may take."""
 
 
 def stages(path: str, tree: Path) -> list[Stage]:
-    """Return the stages of a module: the unit tests of its folder, all unit tests, the rest."""
-    rooms = sorted(each.name for each in (tree / UNIT).iterdir() if each.is_dir() and each.name != "__pycache__")
-    home = str(_home(PurePosixPath(path), lambda each: (tree / each).is_dir()))
-    first = [] if home == str(UNIT) else [Stage(1, (home,), None, (home,))]
-    others = tuple(each for room in _nearest_first(path, rooms) if (each := f"{UNIT}/{room}") != home)
-    second = Stage(2, others, home if first else None, (str(UNIT),))
-    return [*first, second, Stage(LAST, ("tests",), str(UNIT), ("tests", f"--ignore={UNIT}"))]
+    """Return the stages of a module: the unit tests of its folder, all other unit tests, the rest.
+
+    In a stage those files come first that import the module, then those of its room, then those of the rooms above.
+    """
+    home, module = _home(PurePosixPath(path), tree), PurePosixPath(path).stem
+    imports = re.compile(rf"^ *from .*\.{module} import |^ *from .* import .*\b{module}\b", re.MULTILINE)
+    order = _order(path)
+
+    def rank(file: PurePosixPath) -> tuple[bool, int, str]:
+        room = file.relative_to(UNIT).parts[0]
+        return not imports.search(_text(tree / file)), order.index(room) if room in order else len(order), str(file)
+
+    files = sorted((PurePosixPath(each.relative_to(tree)) for each in (tree / UNIT).rglob("test_*.py")), key=rank)
+    near = tuple(str(each) for each in files if home != UNIT and each.is_relative_to(home))
+    others = tuple(str(each) for each in files if str(each) not in near)
+    rest = ("tests", f"--ignore={UNIT}")
+    return [*([Stage(1, near, (str(home),))] if near else []), Stage(2, others, (str(UNIT),)), Stage(LAST, rest, rest)]
 
 
-def _home(path: PurePosixPath, exists: Callable[[PurePosixPath], bool]) -> PurePosixPath:
+def _home(path: PurePosixPath, tree: Path) -> PurePosixPath:
     """Return the folder of unit tests that mirrors that of a module, or the nearest one above it that exists."""
     parts = path.parent.parts
     wanted = UNIT.joinpath(*(parts[1:] if parts[0] in {"orchestrator", "perfbound"} else parts))
-    while not exists(wanted):
+    while not (tree / wanted).is_dir():
         wanted = wanted.parent
     return wanted
 
 
-def _nearest_first(path: str, rooms: Sequence[str]) -> Iterator[str]:
-    """Yield all folders of unit tests: the room of the module, the rooms that may import it, and the others."""
-    own = next(part for part in PurePosixPath(path).parts if part not in {"orchestrator", "perfbound"})
-    at = ROOMS.index(own) if own in ROOMS else 0
-    order = [*ROOMS[at:], *ROOMS[:at]]
-    yield from sorted(rooms, key=lambda room: order.index(room) if room in order else len(order))
+def _order(path: str) -> list[str]:
+    """Return the rooms, with that of the module first and those that may import it next."""
+    room = next(part for part in PurePosixPath(path).parts if part not in {"orchestrator", "perfbound"})
+    at = ROOMS.index(room) if room in ROOMS else 0
+    return [*ROOMS[at:], *ROOMS[:at]]
+
+
+@cache
+def _text(file: Path) -> str:
+    return file.read_text()

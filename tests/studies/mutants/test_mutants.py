@@ -18,7 +18,7 @@ from tests.studies.mutants.results import (
     line,
     share,
 )
-from tests.studies.mutants.stages import ROOMS, stages
+from tests.studies.mutants.stages import stages
 
 ROOT = Path(__file__).parents[3]
 MUTANTS = [Mutant("schemas/ids.py", number, "a < b", f"a <= {number}", f"text {number}") for number in range(4)]
@@ -54,14 +54,25 @@ def test_a_span_covers_what_lies_in_it() -> None:
     assert not outer.covers(Span(Position(2, 0), Position(3, 1)))
 
 
-def test_a_mutant_meets_its_folder_then_the_rooms_above_then_the_others() -> None:
+def test_a_mutant_meets_its_folder_then_the_other_unit_tests_then_the_rest() -> None:
     first, second, third = stages("orchestrator/store/rows.py", ROOT)
-    assert first.arguments() == ["tests/unit/store"]
-    assert "tests/unit/store" not in second.paths
-    assert second.arguments()[-1] == "--ignore=tests/unit/store"
-    places = [second.paths.index(f"tests/unit/{room}") for room in ("campaign", "cli", "schemas")]
+    unit = {str(path.relative_to(ROOT)) for path in (ROOT / "tests" / "unit").rglob("test_*.py")}
+    assert {str(Path(each).parent) for each in first.arguments} == {"tests/unit/store"}
+    assert {*first.arguments, *second.arguments} == unit
+    assert not {*first.arguments}.intersection(second.arguments)
+    assert third.arguments == ("tests", "--ignore=tests/unit")
+    assert [each.usual[0] for each in (first, second, third)] == ["tests/unit/store", "tests/unit", "tests"]
+
+
+def test_files_that_import_the_module_come_first_then_those_of_the_rooms_above() -> None:
+    first, second, _ = stages("orchestrator/store/lock.py", ROOT)
+    importing = [".lock import" in (ROOT / each).read_text() for each in first.arguments]
+    assert importing == sorted(importing, reverse=True)
+    assert sum(importing) in range(1, len(importing))
+    others = [each for each in second.arguments if ".lock import" not in (ROOT / each).read_text()]
+    rooms = list(dict.fromkeys(each.split("/")[2] for each in others))
+    places = [rooms.index(room) for room in ("campaign", "run", "cli", "schemas")]
     assert places == sorted(places)
-    assert third.arguments() == ["tests", "--ignore=tests/unit"]
 
 
 @pytest.mark.parametrize(
@@ -74,13 +85,11 @@ def test_a_mutant_meets_its_folder_then_the_rooms_above_then_the_others() -> Non
     ],
 )
 def test_the_unit_tests_of_a_module_mirror_its_folder(path: str, home: str) -> None:
-    assert stages(path, ROOT)[0].paths == (home,)
+    assert stages(path, ROOT)[0].usual == (home,)
 
 
 def test_a_module_without_a_folder_of_tests_begins_with_all_unit_tests() -> None:
-    second, _ = stages("orchestrator/__main__.py", ROOT)
-    assert (second.number, second.without) == (2, None)
-    assert {Path(each).name for each in second.paths} >= set(ROOMS)
+    assert [each.number for each in stages("orchestrator/__main__.py", ROOT)] == [2, 3]
 
 
 def test_results_continue_after_a_kill_and_survivors_are_judged_again_after_a_change(tmp_path: Path) -> None:
