@@ -100,8 +100,9 @@ def share(mutants: Sequence[Mutant], found: Mapping[str, Sequence[Judgement]], l
     judged, caught = sum(each is not None for each in ends), stages.total()
     parts = [f"{number} in stage {stage}" for stage, number in sorted(stages.items())]
     parts += [f"{len(ends) - judged} not judged yet"] if judged < len(ends) else []
-    percent = f" ({100 * caught / judged:.0f} %)" if judged else ""
-    return f"caught: {caught} of {judged}{percent}" + (f"; {', '.join(parts)}" if parts else "")
+    # Those that are caught are judged sooner: a share of the judged ones alone would be too good.
+    percent = f" ({100 * caught / judged:.0f} %)" if judged and judged == len(ends) else ""
+    return f"caught: {caught} of {len(ends)}{percent}" + (f"; {', '.join(parts)}" if parts else "")
 
 
 def _end(found: Sequence[Judgement], last: int) -> Judgement | None:

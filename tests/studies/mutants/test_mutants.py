@@ -113,8 +113,8 @@ def test_the_share_counts_those_that_met_the_last_stage_or_were_caught() -> None
         keys[1]: [Judgement(keys[1], 1, "timed out", "", 99, "")],
         keys[2]: [Judgement(keys[2], 1, "survived", "", 1, "")],
     }
-    assert share(MUTANTS, found, 1) == "caught: 1 of 3 (33 %); 1 in stage 1, 1 not judged yet"
-    assert share(MUTANTS, found, 2) == "caught: 2 of 2 (100 %); 1 in stage 1, 1 in stage 2, 2 not judged yet"
+    assert share(MUTANTS, found, 1) == "caught: 1 of 4; 1 in stage 1, 1 not judged yet"
+    assert share(MUTANTS, found, 2) == "caught: 2 of 4; 1 in stage 1, 1 in stage 2, 2 not judged yet"
     assert share(MUTANTS[:2], found, 2) == "caught: 2 of 2 (100 %); 1 in stage 1, 1 in stage 2"
     assert share([], {}, 3) == "caught: 0 of 0"
     lines = [line(each, found.get(each.key, []), 1) for each in MUTANTS[1:]]
