@@ -21,7 +21,7 @@ LOCKED = $(INSTALL) --only-binary :all: --require-hashes
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup slurm run test test-all every-test studies touched other-pythons mujoco smoke announce checks lint types imports doctests unit explore fuzz faults coverage reproduce bench bench-compare schemas texts diagrams docs images lock clean
+.PHONY: help setup slurm run test test-all every-test studies touched other-pythons mujoco smoke announce checks lint types imports doctests unit explore fuzz faults coverage reproduce bench bench-compare mutants schemas texts diagrams docs images lock clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -172,6 +172,15 @@ bench: $(INSTALLED)-dev $(VENV)-bench/.installed ## CPU times beside those of pe
 bench-compare: $(INSTALLED)-dev ## Two results side by side: OLD=... NEW=... (JSON files of make bench)
 	$(BIN)/python -m tests.studies.benchmarks.compare $(OLD) $(NEW)
 
+$(VENV)-mutants/.installed: tests/studies/mutants/requirements.txt
+	test -x $(VENV)-mutants/bin/python || $(PYTHON) -m venv $(VENV)-mutants
+	$(VENV)-mutants/bin/python -m pip install --quiet --disable-pip-version-check -r $<
+	touch $@
+
+NUMBER ?= 60
+mutants: $(READY) $(VENV)-mutants/.installed ## Which small changes of the product the tests notice (hours; NUMBER=60, SEED=1; continues where it stopped)
+	$(BIN)/python -m tests.studies.mutants --seed $(SEED) --number $(NUMBER)
+
 schemas: $(INSTALLED)-dev ## Write schemas/json/v1 anew from the models
 	$(BIN)/python -m perfbound.schemas
 
@@ -214,4 +223,4 @@ lock-%: build/pip-tools-%/.installed
 	$(call RESOLVE,-mujoco) --extra mujoco -c locks/$*.txt -o locks/$*-mujoco.txt pyproject.toml
 
 clean: ## Remove the environment and caches; runs are kept
-	rm -rf $(VENV) $(VENV)-bench $(addprefix .venv-,$(VERSIONS)) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache build *.egg-info
+	rm -rf $(VENV) $(VENV)-bench $(VENV)-mutants $(addprefix .venv-,$(VERSIONS)) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache build *.egg-info

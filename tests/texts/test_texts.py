@@ -7,7 +7,6 @@ import pytest
 from tests.texts import FOLDER, written
 from tests.texts.subjects import SUBJECTS
 
-
 STARTS_PROCESSES = ("library",)
 """Subjects whose refusals name the installed systems."""
 NAMES = [pytest.param(name, marks=pytest.mark.integration if name in STARTS_PROCESSES else ()) for name in SUBJECTS]
