@@ -1,9 +1,7 @@
 """Refusals of certificates and of an authority, and what is wrong in a system or a script of a user."""
 
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import pytest
 from click.testing import CliRunner
@@ -88,10 +86,6 @@ def command_line(folder: Path) -> Cases:
             yield f"perfbound {words}", found.output or str(found.exception)
 
 
-def _returning(value: Any) -> Callable[[float], Any]:
-    return lambda x: value
-
-
 def formulas(_folder: Path) -> Cases:
     """Yield what is wrong in formulas."""
     for test in (
@@ -105,7 +99,7 @@ def formulas(_folder: Path) -> Cases:
 
 
 def library(_folder: Path) -> Cases:
-    """Yield refusals of classes of the library, of systems in Python and of what they return."""
+    """Yield refusals of classes of the library and of systems in Python."""
     for number, (model, limits, fields, _) in enumerate(
         rows(test_campaign.test_what_is_written_in_python_is_refused_in_one_line)
     ):
@@ -113,6 +107,3 @@ def library(_folder: Path) -> Cases:
     signatures = rows(test_function.test_a_signature_that_does_not_fit_is_refused)
     for number, (function, changes, _) in enumerate(signatures):
         yield f"a signature {number}", refusal(partial(test_function.made, function, **changes))
-    returned = rows(test_function.test_what_is_no_trajectory_is_refused_with_its_remedy)
-    for number, (value, _) in enumerate(returned):
-        yield f"a returned value {number}", refusal(partial(test_function.rolled, _returning(value)))
