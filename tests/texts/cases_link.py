@@ -1,21 +1,18 @@
 """Refusals of certificates and of an authority, and what is wrong in a system or a script of a user."""
 
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import pytest
 from click.testing import CliRunner
 from cryptography.hazmat.primitives.serialization import BestAvailableEncryption, Encoding, PrivateFormat
 
-import perfbound as pb
 from perfbound.orchestrator.cli.group import cli
 from perfbound.orchestrator.mathematics.stl.horizon import check_horizon
 from perfbound.orchestrator.mathematics.stl.parser import parse_formula
 from perfbound.schemas.link.tls_files import check_host, check_role
 from tests.fakes.certificates import Site
-from tests.texts import Cases, refusal, refusals, rows
+from tests.texts import Cases, refusal, rows
 from tests.unit.hosts import test_pki
 from tests.unit.library import test_campaign
 from tests.unit.mathematics.stl import test_horizon, test_text
@@ -89,10 +86,6 @@ def command_line(folder: Path) -> Cases:
             yield f"perfbound {words}", found.output or str(found.exception)
 
 
-def _returning(value: Any) -> Callable[[float], Any]:
-    return lambda x: value
-
-
 def formulas(_folder: Path) -> Cases:
     """Yield what is wrong in formulas."""
     for test in (
@@ -105,16 +98,8 @@ def formulas(_folder: Path) -> Cases:
         yield f"15 s: {text}", refusal(partial(check_horizon, parse_formula(text), 15.0))
 
 
-def library(folder: Path) -> Cases:
-    """Yield refusals of arguments of the library, of systems in Python and of what they return."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        bad = test_campaign.test_bad_arguments_are_lines_of_the_parser
-        yield from refusals("Campaign", bad, lambda given: pb.Campaign("test-function", **test_campaign.KEYS | given))
-        none = test_campaign.test_a_system_that_is_none_is_refused
-        for system, _ in rows(none):
-            name = system if isinstance(system, str) else "print"
-            yield f"Campaign({name})", refusal(partial(pb.Campaign, system, **test_campaign.KEYS))
+def library(_folder: Path) -> Cases:
+    """Yield refusals of classes of the library and of systems in Python."""
     for number, (model, limits, fields, _) in enumerate(
         rows(test_campaign.test_what_is_written_in_python_is_refused_in_one_line)
     ):
@@ -122,6 +107,3 @@ def library(folder: Path) -> Cases:
     signatures = rows(test_function.test_a_signature_that_does_not_fit_is_refused)
     for number, (function, changes, _) in enumerate(signatures):
         yield f"a signature {number}", refusal(partial(test_function.made, function, **changes))
-    returned = rows(test_function.test_what_is_no_trajectory_is_refused_with_its_remedy)
-    for number, (value, _) in enumerate(returned):
-        yield f"a returned value {number}", refusal(partial(test_function.rolled, _returning(value)))
