@@ -12,6 +12,7 @@ PARTS = 20
 def clip_around(values: Floats) -> tuple[float, float]:
     """Return a clip for robust values (n,): it contains them with a margin, and shows violations.
 
+    >>> import numpy as np
     >>> clip_around(np.array([-3.0, 7.0])), clip_around(np.array([0.35, 0.4]))
     ((-8.0, 10.0), (-0.21, 0.413))
     """
@@ -23,6 +24,7 @@ def clip_around(values: Floats) -> tuple[float, float]:
 def covering(values: Floats, below: float, over: float) -> tuple[float, float]:
     """Return a range that contains `values` and, on either side, a share of their spread.
 
+    >>> import numpy as np
     >>> covering(np.array([-3.0, 7.0]), 0.5, 0.25)
     (-8.0, 10.0)
     """

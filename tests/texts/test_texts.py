@@ -7,12 +7,8 @@ import pytest
 from tests.texts import FOLDER, written
 from tests.texts.subjects import SUBJECTS
 
-STARTS_PROCESSES = ("library",)
-"""Subjects whose refusals name the installed systems."""
-NAMES = [pytest.param(name, marks=pytest.mark.integration if name in STARTS_PROCESSES else ()) for name in SUBJECTS]
 
-
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", SUBJECTS)
 def test_every_sentence_is_the_one_on_record(name: str) -> None:
     recorded, found = (FOLDER / f"{name}.txt").read_text(), written(SUBJECTS[name])
     changes = difflib.unified_diff(recorded.splitlines(), found.splitlines(), "on record", "now", lineterm="")

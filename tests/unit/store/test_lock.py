@@ -350,3 +350,14 @@ def test_what_removes_leftovers_and_keys_keeps_the_lock_file(tmp_path: Path) -> 
         sweep(tmp_path, frozenset())
         forget(tmp_path)
         held.check()
+
+
+def test_a_reader_that_probes_the_lock_is_no_orchestrator_for_another_reader(tmp_path: Path) -> None:
+    (tmp_path / LOCK_FILE).touch()
+    for place, flags in ((tmp_path, os.O_RDONLY | os.O_DIRECTORY), (tmp_path / LOCK_FILE, os.O_RDONLY)):
+        other = os.open(place, flags)
+        try:
+            fcntl.flock(other, fcntl.LOCK_SH)
+            assert not is_held(tmp_path)
+        finally:
+            os.close(other)

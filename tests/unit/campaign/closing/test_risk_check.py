@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from perfbound.orchestrator.campaign.closing.risk_check import RiskCheck
 from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.words.bound_text import outward
@@ -271,3 +272,14 @@ def test_verify_finds_a_check_that_was_removed(tmp_path: Path, recheck: int) -> 
     del document["predicate"]["spot_check"]["problems"][0]["risk"]
     place.write_text(json.dumps(document, sort_keys=True, indent=1) + "\n")
     assert verified(tmp_path) == ["stop"]
+
+
+def test_the_last_test_that_the_spot_check_left_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    named = [SimpleNamespace(plan=SimpleNamespace(variants=("true",)))]
+    monkeypatch.setattr("perfbound.orchestrator.campaign.closing.risk_check._refuted_risks", lambda _: named)
+    spot: Any = SimpleNamespace(observer=None, starts=(), plan=SimpleNamespace(max_tests=5))
+    header: Any = SimpleNamespace(config=SimpleNamespace(spot_replicates=1))
+    found = RiskCheck.of(header, spot, 4)
+    assert found is not None
+    assert found.plan.max_tests == 1
+    assert RiskCheck.of(header, spot, 5) is None

@@ -141,3 +141,8 @@ class TestPlanned:
 def test_bad_input_is_refused(call: Callable[[], object]) -> None:
     with pytest.raises(ValueError, match=r"must|needs"):
         call()
+
+
+def test_what_has_no_two_values_at_a_start_has_no_evidence() -> None:
+    found = AdaptiveOrderTest().finding()
+    assert (found.status, found.values["e_value"]) == ("assumed", 0.0)
