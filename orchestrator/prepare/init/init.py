@@ -288,7 +288,7 @@ def _reaching(constant: Constant, least: float) -> Constant:
     """Return an `alpha` that is not below what the tests can reach; another constant as it is."""
     if constant.key != "alpha" or not isinstance(constant.value, float) or constant.value >= rounded_up(least):
         return constant
-    return Constant("alpha", rounded_up(least), f"{REACH:g} times what the tests could reach if all were at one start.")
+    return Constant("alpha", rounded_up(least), "Twice what the tests could reach if all were at one start.")
 
 
 def _first_campaign(

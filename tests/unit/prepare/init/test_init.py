@@ -62,7 +62,7 @@ def test_a_pilot_that_hangs_names_the_rollout_and_the_place(folder: Path) -> Non
     assert f"GUESSED, because the pilot failed: {reason}" in text
     assert "do not follow from this formula, because the pilot failed." in text
     assert "Put your formula here" not in text
-    assert text.count("A guess: `perfbound calibrate` proposes") == 4, "clip, alpha, prior_mean and rkhs_norm"
+    assert text.count("A guess: `perfbound calibrate` proposes") == 3, "clip, prior_mean and rkhs_norm"
     assert parse_campaign((folder / "hangs.toml").read_bytes(), "c").specification == "y >= 0.5"
 
 
