@@ -112,7 +112,7 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
     if found is not None and not question.drawn:
         system = ChildSystem(wish.reference, spec, limit, LONGEST * SECONDS)
         constants = yield from _calibrated(campaign, system, found, out)
-        campaign, news = replace(campaign, basis=constants.of(basis)), f"the constants are {constants.news}"
+        campaign, news = replace(campaign, basis=constants.of(campaign.basis)), f"the constants are {constants.news}"
     campaign = _reachable(campaign)
     text = campaign_text(campaign)
     check_new(parse_campaign(text.encode(), str(out)), spec, str(out))

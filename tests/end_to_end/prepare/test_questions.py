@@ -37,7 +37,7 @@ import perfbound as pb
 
 @pb.system(parameters={"x": pb.Parameter(0, 1)}, columns={"a": "m"}, step=0.1)
 def slope(x):
-    return np.arange(31.0) * (0.01 + 0.1 * x)
+    return 0.01 * np.arange(31.0) + np.sin(x)
 """
 QUANTITIES = {
     "worst": {"expected_robustness", "robustness"},

@@ -234,7 +234,7 @@ def asking(question: str, **changes: Any) -> FirstCampaign:
 
 @pytest.mark.parametrize("question", ONE_SIMULATOR)
 @pytest.mark.parametrize("system", [SystemChoice(name="robot"), PROGRAM], ids=["function", "program"])
-def test_a_file_for_one_simulator_has_twelve_lines(question: str, system: SystemChoice) -> None:
+def test_a_file_for_one_simulator_is_short(question: str, system: SystemChoice) -> None:
     text = campaign_text(asking(question, system=system))
     assert key_lines(text) <= MOST_KEYS
     config = parse_campaign(text.encode(), "robot.toml")
@@ -243,7 +243,7 @@ def test_a_file_for_one_simulator_has_twelve_lines(question: str, system: System
         check(config, SPEC, "robot.toml")
 
 
-def test_a_file_for_slow_rollouts_has_twelve_lines_too() -> None:
+def test_a_file_for_slow_rollouts_is_short_too() -> None:
     size = first_size(1.0, noisy=True, variants=1)
     text = campaign_text(asking("worst", size=size, cost=1.0, system=PROGRAM))
     assert "spot_check_followups" in text
