@@ -94,7 +94,7 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
     try:
         found = run_pilot(PilotPlan(wish.reference, spec, choice.options, variants, horizon, limit), score)
         choice = _with_files(choice, found.undeclared)
-        basis = _proposal(wish, spec, found)
+        basis, found = _proposal(wish, spec, found)
         news = f"{question.values} proposed from {found.size}"
     except PilotError as error:
         fault = f"because the pilot failed: {error}"
@@ -155,20 +155,20 @@ def _variants(spec: SystemSpec, question: str) -> tuple[Variant, ...]:
     return tuple(found)
 
 
-def _proposal(wish: Wish, spec: SystemSpec, found: Pilot) -> FirstValues:
-    """Return what follows from a pilot."""
-    scores, specification, about = found.scores, wish.specification, ""
+def _proposal(wish: Wish, spec: SystemSpec, found: Pilot) -> tuple[FirstValues, Pilot]:
+    """Return what follows from a pilot, and the pilot with the robustness for scores, also by a formula of its own."""
+    specification, about = wish.specification, ""
     question = QUESTIONS[wish.question]
     if specification is None:
-        column, every = spec.columns[1].name, _all(scores)
+        column, every = spec.columns[1].name, _all(found.scores)
         limit, _ = covering(every, 0.1, 0.0)
         specification = _above(column, limit, found.horizon)
-        scores = {variant: each - limit for variant, each in scores.items()}
+        found = replace(found, scores={variant: each - limit for variant, each in found.scores.items()})
         about = f"This formula holds in the whole pilot, where {column} was at least {every.min():g}: put yours here."
     elif not question.drawn:
         about = "The constants below fit this formula."
     source = "" if not question.drawn else f"{question.values.capitalize()} proposed from {found.size}."
-    return FirstValues(source, found.horizon, specification, about, clip_around(_all(scores)), {})
+    return FirstValues(source, found.horizon, specification, about, clip_around(_all(found.scores)), {}), found
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,14 +176,19 @@ class FirstConstants:
     """The constants of every problem, and where they come from."""
 
     found: dict[ProblemName, tuple[Constant, ...]]
-    news: str
-    """What they are, in words."""
-    why: str = ""
-    """Of a guess, why it is one."""
+    whence: str
+    """The rollouts that they follow from, or why they are guesses."""
+    are_guesses: bool = False
+
+    @property
+    def news(self) -> str:
+        """What they are, in words."""
+        return f"{'guessed, because' if self.are_guesses else 'proposed from'} {self.whence}"
 
     def of(self, basis: FirstValues) -> FirstValues:
         """Return the first values with them."""
-        head = f"The constants are GUESSED, {self.why}" if self.why else f"The constants are {self.news}."
+        # In capitals in the file, which is read without the lines of this command.
+        head = f"The constants are {self.news.replace('guessed', 'GUESSED', 1).removesuffix('.')}."
         return replace(basis, source=head, constants=self.found)
 
 
@@ -200,24 +205,22 @@ def _calibrated(
     each = sum(len(rolled_out(name, campaign.spec)) for name in names) * cost / WORKERS
     rollouts = min(MOST_ROLLOUTS, int(SECONDS / each))
     if rollouts < FEWEST_ROLLOUTS:
-        return _guesses(
-            campaign, pilot, f"because {FEWEST_ROLLOUTS} rollouts would take {duration(FEWEST_ROLLOUTS * each)}."
-        )
+        return _guesses(campaign, pilot, f"{FEWEST_ROLLOUTS} rollouts would take {duration(FEWEST_ROLLOUTS * each)}")
     yield f"{campaign.spec.name}: {rollouts} rollouts for its constants, about {duration(rollouts * each)}"
     try:
         workers = WORKERS if rollouts * each > WORTH else 1
         found = proposals(draft, system, Effort(rollouts, 1, workers), lambda *_: None, str(out))
     except ChildRolloutError as error:
-        return _guesses(campaign, pilot, f"because a rollout failed: {error}")
+        return _guesses(campaign, pilot, f"a rollout failed: {error}")
     except Stopped as stop:
         raise Stopped(stop.signal, "the pilot was ended, nothing was written") from None
     yield from found.violations
     if doubts := [doubt for problem in found.problems for doubt in problem.doubts]:
         ask = "Method `sample` needs no kernel: `--question how-often`."
-        return _guesses(campaign, pilot, f"because no kernel is trustworthy here. {' '.join(doubts)} {ask}")
+        return _guesses(campaign, pilot, f"no kernel is trustworthy here. {' '.join(doubts)} {ask}")
     spent = sum(problem.measured.rollouts for problem in found.problems)
     constants = {name: problem.constants for name, problem in zip(names, found.problems, strict=True)}
-    return FirstConstants(constants, f"proposed from {spent} rollouts")
+    return FirstConstants(constants, f"{spent} rollouts")
 
 
 def _guesses(campaign: FirstCampaign, pilot: Pilot, why: str) -> FirstConstants:
@@ -227,8 +230,8 @@ def _guesses(campaign: FirstCampaign, pilot: Pilot, why: str) -> FirstConstants:
             name: values.guessed(_objective(name, spec, pilot.scores), noisy=_noisy(name, spec), why=A_GUESS)
             for name in campaign.question.problems
         },
-        f"guessed, {why}",
         why,
+        are_guesses=True,
     )
 
 

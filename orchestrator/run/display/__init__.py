@@ -1,1 +1,1 @@
-"""What a run shows while it goes on: a live table, lines, JSON, systemd, and what is known so far."""
+"""What a run shows before its end: a live table, lines, JSON, systemd, and what is known so far."""

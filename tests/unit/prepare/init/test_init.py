@@ -9,6 +9,7 @@ import pytest
 from perfbound.orchestrator.prepare.init import init
 from perfbound.orchestrator.prepare.init.init import Wish, write_first_campaign
 from perfbound.schemas.errors import PerfboundError
+from perfbound.schemas.file.problem_models import RigorousProblem
 from perfbound.schemas.file.reader import parse_campaign
 from tests.facts import facts, says
 
@@ -75,3 +76,15 @@ def test_a_horizon_for_rollouts_of_one_sample_is_refused(tmp_path: Path, monkeyp
     assert not (tmp_path / "one.toml").exists()
     list(write_first_campaign(Wish("own.py:one", "worst", "y >= 0.5", None, None)))
     assert (tmp_path / "one.toml").exists()
+
+
+def test_guesses_are_about_the_formula_that_the_file_has(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They were about the column, although the formula compares it with a limit that the pilot chose."""
+    (tmp_path / "own.py").write_text(ONE_SAMPLE.replace("return 1 + x", "return 1000 + x"))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(init, "FEWEST_ROLLOUTS", 10**9)
+    lines = list(write_first_campaign(Wish("own.py:one", "worst", None, None, None)))
+    assert "the constants are guessed, because" in lines[-2]
+    (problem,) = parse_campaign((tmp_path / "one.toml").read_bytes(), "c").problems
+    assert isinstance(problem, RigorousProblem)
+    assert -1.5 < problem.prior_mean < 0.0, "minus the robustness, which is at most 1.1"
