@@ -121,7 +121,7 @@ DOT = " \u00b7 "
 
 
 def plan(floors: Sequence[Sequence[str]], parts: Callable[[str], Sequence[str]]) -> str:
-    """Return the floor plan of the orchestrator: a row for each floor, and the folders that it stands on and beside.
+    """Return the floor plan of the orchestrator: a row for each floor, and the folders around it.
 
     `parts` returns the folders inside one.
     """

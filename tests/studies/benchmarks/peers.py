@@ -1,6 +1,6 @@
 """CPU milliseconds of one ask + tell of the libraries that a user would take instead; JSON on stdout.
 
-Run in an environment of its own, which has nothing of ours: `.venv-bench/bin/python -m tests.studies.benchmarks.peers`.
+Run in an environment of its own, without perfbound: `.venv-bench/bin/python -m tests.studies.benchmarks.peers`.
 Every peer gets the same tests in the same order (`data.py`), one thread, and the settings that are best for it:
 hyper-parameters are fixed where the library allows it, so that nothing is fitted.
 
