@@ -116,6 +116,10 @@ def campaign_verdict(
     )
 
 
+UNDER_REFUTED = "Not proven, an assumption is refuted"
+"""In place of the claim's own first words."""
+
+
 def guarantee(claim: CertificateClaim, unit: str, risk_weight: float) -> str:
     """Return the first claim in plain words, as a margin where it is one; what is refuted is not called guaranteed.
 
@@ -126,15 +130,15 @@ def guarantee(claim: CertificateClaim, unit: str, risk_weight: float) -> str:
     bound, chance = outward(claim.bound, claim.sense), chance_words(claim)
     meaning = WORST.get(claim.quantity)
     if meaning is None:
-        words = f"Refuted: {claim_words(claim)}" if claim.refuted else capitalised(claim_words(claim))
+        words = f"{UNDER_REFUTED}: {claim_words(claim)}" if claim.refuted else capitalised(claim_words(claim))
         return f"{words} {claim.sense} {margin_text(bound, claim, unit)}, {chance}"
     where = "every start" if claim.starts is None else f"each of the {claim.starts} listed starts"
     of = {"every": ", of every requirement"}.get(claim.rule, f", of {claim.requirement}" if claim.requirement else "")
     ends = "" if claim.clipped is None else f", {clip_words(claim.clipped)}"
     margin = f"{margin_text(bound, claim, unit)} ({meaning.format(risk_weight)}{of}{ends})"
-    head = (
-        "Refuted: margin at least" if claim.refuted else "Guaranteed margin" if claim.bound > 0 else "Margin at least"
-    )
+    head = "Guaranteed margin" if claim.bound > 0 else "Margin at least"
+    if claim.refuted:
+        head = f"{UNDER_REFUTED}: margin at least"
     return f"{head} {margin} from {where}, {chance}"
 
 

@@ -25,7 +25,7 @@ def planned_outlook(plan: ProblemPlan, method: ProblemMethod) -> tuple[Guess, Gu
     # Of several requirements each has a method of its own, and the campaign has no single bound to forecast.
     if not isinstance(method, KrigingMethod):
         return None
-    found = method.coming.outlook(MORE / max(1, len(plan.variants)))
+    found = method.outlook(MORE / max(1, len(plan.variants)))
     return None if found is None else (_of_draws(found[0]), _of_draws(found[1]))
 
 

@@ -296,7 +296,8 @@ def _check_composed(config: CampaignKeys, composed: Sequence[ComposedClaim]) -> 
                 raise ValueError(f"{where}.problems: rule 'single' is for one problem")
             _check_single(claim.problems, f"{where}.rule")
         elif claim.problems != PAIR:
-            raise ValueError(f"{where}.problems: rule {claim.rule!r} is for {list(PAIR)}")
+            pair = " and ".join(PAIR)
+            raise ValueError(f"{where}.problems: rule {claim.rule!r} is for {pair}; name both, or take rule 'single'")
         else:
             _check_rule(config, claim.rule, f"{where}.rule")
     for name in names:

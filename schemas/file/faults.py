@@ -177,7 +177,7 @@ def _describe(fault: Any, key: str, one_problem: bool) -> str:
     value = fault.get("input")
     shown = "a table" if isinstance(value, dict) else repr(value)[:80]
     below = len(location) == 2 and location[0] == "space" and location[1] in OF_PROBLEM | OF_CAMPAIGN
-    hint = "; a key of the campaign stands above the first [table]" if below else ""
+    hint = f"; if it is the key `{location[1]}` of the campaign, put it above the first [table]" if below else ""
     return f"{key}: {shown} is not allowed: allowed is {allowed_text}{hint}"
 
 

@@ -111,7 +111,9 @@ def check_space(method: MethodName, space: Space, resolution: int, starts: int |
         NODES.get(method, MAX_CANDIDATES),
     )
     if kind in SPACES[method] and nodes > most:
-        raise ValueError(f"{where}.resolution: {nodes} lattice nodes are more than the {most} allowed")
+        raise ValueError(
+            f"{where}.resolution: {nodes:,} lattice nodes are more than the {most:,} allowed; lower `resolution`"
+        )
     if kind in SPACES[method]:
         return
     drawing = tuple(name for name in SPACES if draws_starts(name))

@@ -42,7 +42,7 @@ from ..real_numbers import real_array
 from . import plots
 from .canonical import EVIDENCE, LIBRARY, MAGIC, MEDIA_TYPES, RECORD, REQUEST, Evidence, canonical_evidence
 from .file_checks import check_checksums, check_length, check_sizes
-from .visual import Floats, Transform, Visual, channels
+from .visual import Floats, Transform, Visual
 
 __all__ = [
     "File",
@@ -307,6 +307,8 @@ def _evidence_records(data: bytes) -> Evidence:
 
 
 def _write_visual(writer: Writer, trajectory: Trajectory, visual: Visual, units: Mapping[str, str]) -> None:
+    from .channels import channels  # noqa: PLC0415  (the types of foxglove, which few workers need)
+
     shown = {name: units[name] for name in trajectory.columns}
     schemas: dict[str, int] = {}
     messages: list[tuple[int, int, bytes]] = []

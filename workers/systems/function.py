@@ -189,7 +189,7 @@ def system(
                 noisy=tuple(each for each in variants if each in found),
                 max_horizon=max_horizon,
                 timed="horizon" in passed,
-                default_horizon=_default_horizon(keywords, max_horizon, place),
+                default_horizon=_default_horizon(keywords, max_horizon),
                 versions=_interpolating(parameters) | dict(versions or {}),
                 seed_bits=seed_bits,
                 trajectory_bytes=trajectory_bytes,
@@ -303,7 +303,7 @@ def _interpolating(parameters: Mapping[str, Parameter]) -> dict[str, str]:
     return {package: version(package) for package in ("numpy", "scipy") if found}
 
 
-def _default_horizon(keywords: Sequence[inspect.Parameter], max_horizon: float, place: str) -> float | None:
+def _default_horizon(keywords: Sequence[inspect.Parameter], max_horizon: float) -> float | None:
     """Return the default of `horizon` in s: None if it has none, 0 for a function that takes no horizon."""
     found = [each.default for each in keywords if each.name == "horizon"]
     if not found:
@@ -312,7 +312,7 @@ def _default_horizon(keywords: Sequence[inspect.Parameter], max_horizon: float, 
     if default is inspect.Parameter.empty:
         return None
     if isinstance(default, bool) or not isinstance(default, int | float) or not 0 < default <= max_horizon:
-        raise DefinitionError(f"{place}: horizon: {default!r} is not a number of seconds in (0, {max_horizon:g}]")
+        raise DefinitionError(f"horizon: {default!r} is not a number of seconds in (0, {max_horizon:g}]")
     return float(default)
 
 

@@ -158,8 +158,9 @@ def violations_in_words(seen: Violations) -> str:
     >>> violations_in_words(Violations(rollouts=320, violations=1, starts=9, violating_starts=1, least=-1, rollout="a"))
     '1 of 320 rollouts violates the specification'
     """
-    verb = "violates" if seen.violations == 1 else "violate"
-    return f"{seen.violations:,} of {seen.rollouts:,} rollouts {verb} the specification"
+    noun = "rollout" if seen.rollouts == 1 else "rollouts"
+    verb = "violates" if 1 in {seen.violations, seen.rollouts} else "violate"
+    return f"{seen.violations:,} of {seen.rollouts:,} {noun} {verb} the specification"
 
 
 def violation_words(found: CampaignVerdict) -> str:

@@ -237,7 +237,7 @@ def is_irreproducible(claim: CertificateClaim) -> bool:
 def clip_in_words(predicate: Predicate, claim: CertificateClaim) -> tuple[str, ...]:
     """Return the sentence on the values that the clip hides behind a claim; none where it hides none that were seen."""
     hidden = (each for each in predicate.assumptions if _hides_values(each, claim))
-    return tuple(_sentence_on_clip(each.values) for each in hidden)
+    return tuple(_sentence_on_clip(each.id.partition("/")[2], each.values) for each in hidden)
 
 
 def _hides_values(assumption: Assumption, claim: CertificateClaim) -> bool:
@@ -249,12 +249,12 @@ def _hides_values(assumption: Assumption, claim: CertificateClaim) -> bool:
     return float(assumption.values.get("at_low", 0)) > 0
 
 
-def _sentence_on_clip(found: Mapping[str, object]) -> str:
+def _sentence_on_clip(problem: str, found: Mapping[str, object]) -> str:
     # The file is anyone's: an edited one may lack a value.
     hidden, number, low = (found.get(key, "?") for key in ("at_low", "values", "low"))
     return (
-        f"The claim is about the clipped robustness: {hidden} of {number} values are at the lower clip {low}, so the "
-        "robustness itself may be lower by any amount, its mean too."
+        f"The claim is about the clipped robustness: {hidden} of {number} values of {problem} are at the lower "
+        f"clip {low}, so the robustness itself may be lower by any amount, its mean too."
     )
 
 

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky, solve_triangular
+import scipy
 
 from ..gp.kernels import Floats
 from .sampled import SampledValues, kernel_matrix, unit_kernel
@@ -43,11 +43,11 @@ class KernelFit:
         """Return the lower factor of K + lambda I at the starts of `data`, (n, n)."""
         gram = kernel_matrix(self.nu, self.lengths, data.shares, data.shares)
         gram[np.diag_indices(len(gram))] += self.ratio
-        return np.asarray(cholesky(gram, lower=True, check_finite=False))
+        return np.asarray(scipy.linalg.cholesky(gram, lower=True, check_finite=False))
 
     def weights(self, data: SampledValues, centre: float) -> Floats:
         """Return w of the posterior mean m0 + sum_i w_i k(., u_i), shape (n,)."""
-        return np.asarray(cho_solve((self.factor(data), True), data.values - centre, check_finite=False))
+        return np.asarray(scipy.linalg.cho_solve((self.factor(data), True), data.values - centre, check_finite=False))
 
     def mean(self, data: SampledValues, shares: Floats) -> Floats:
         """Return the posterior mean at starts (m, p), in the unit of the values."""
@@ -59,7 +59,7 @@ class KernelFit:
     def covariance(self, data: SampledValues, shares: Floats) -> Floats:
         """Return the posterior covariance at starts (m, p), shape (m, m), in the square of the unit of the values."""
         between = kernel_matrix(self.nu, self.lengths, data.shares, shares)
-        half = solve_triangular(self.factor(data), between, lower=True, check_finite=False)
+        half = scipy.linalg.solve_triangular(self.factor(data), between, lower=True, check_finite=False)
         own = kernel_matrix(self.nu, self.lengths, shares, shares)
         return np.asarray(self.amplitude**2 * (own - half.T @ half), dtype=np.float64)
 
@@ -85,8 +85,8 @@ def fit_kernel(nu: float, data: SampledValues) -> KernelFit:
         gram = kernel.value(np.sqrt(squares @ np.exp(-2.0 * logs[:p])))
         # No fitted noise for exact values: it would hide kinks and holes.
         gram[np.diag_indices(n)] += math.exp(logs[p]) if len(logs) > p else EXACT_RATIO
-        lower = cholesky(gram, lower=True, check_finite=False)
-        half = solve_triangular(lower, y, lower=True, check_finite=False)
+        lower = scipy.linalg.cholesky(gram, lower=True, check_finite=False)
+        half = scipy.linalg.solve_triangular(lower, y, lower=True, check_finite=False)
         return lower, max(float(half @ half) / n, 1e-300)
 
     def loss(logs: Floats) -> float:

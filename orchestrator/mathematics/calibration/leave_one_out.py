@@ -13,7 +13,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve
+import scipy
 
 from ..gp.kernels import Floats
 from .kernel_fit import KernelFit
@@ -41,7 +41,7 @@ def leave_one_out(fit: KernelFit, data: SampledValues) -> LeaveOneOut:
     Formula: with M = (K + lambda I)^-1 and y centred by its mean, y_i - p_i = (M y)_i / M_ii and s_i = M_ii^(-1/2).
     """
     centre = float(data.values.mean())
-    inverse = cho_solve((fit.factor(data), True), np.eye(len(data.values)), check_finite=False)
+    inverse = scipy.linalg.cho_solve((fit.factor(data), True), np.eye(len(data.values)), check_finite=False)
     diagonal = np.diag(inverse)
     errors = inverse @ (data.values - centre) / diagonal
     square, sd = float(np.mean(errors**2)), 1.0 / np.sqrt(diagonal)

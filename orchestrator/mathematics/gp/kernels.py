@@ -18,8 +18,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import gamma, kv
 
 Floats = NDArray[np.float64]
 
@@ -112,7 +112,7 @@ def _matern(nu: float, r: Floats) -> Floats:
         return np.asarray((1.0 + s + s**2 / 3.0) * np.exp(-s), dtype=np.float64)
     r[r == 0.0] += np.finfo(np.float64).eps  # the Bessel function is infinite at 0
     s = math.sqrt(2 * nu) * r
-    values = np.full_like(r, 2 ** (1.0 - nu) / gamma(nu))
+    values = np.full_like(r, 2 ** (1.0 - nu) / scipy.special.gamma(nu))
     values *= s**nu
-    values *= kv(nu, s)
+    values *= scipy.special.kv(nu, s)
     return values

@@ -25,8 +25,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg.blas import dtrsm
-from scipy.linalg.lapack import dpotrf
+import scipy
 
 from .distinct import OffNodeKernel, Point, Rows
 from .kernels import Floats
@@ -211,7 +210,7 @@ class Posterior:
             return
         factor = self._merge()
         # V' L' = K(X, .)': the transposed views are in Fortran order, which BLAS requires.
-        v = dtrsm(1.0, factor, self._data.points.kernel.T, side=1, lower=1, trans_a=1).T  # (q, m)
+        v = scipy.linalg.blas.dtrsm(1.0, factor, self._data.points.kernel.T, side=1, lower=1, trans_a=1).T  # (q, m)
         self._set_moments(np.array(self._w) @ v, np.maximum(1.0 - np.einsum("ij,ij->j", v, v), 0.0))
         self._stale = False
 
@@ -232,7 +231,7 @@ class Posterior:
             raise SingularKernelError(data.first_repeat, diagonal)
         matrix = data.points.gram.copy()
         matrix.flat[:: len(matrix) + 1] += diagonal / data.counts
-        factor, info = dpotrf(matrix.T, lower=1, clean=0, overwrite_a=1) if data.n else (matrix, 0)
+        factor, info = scipy.linalg.lapack.dpotrf(matrix.T, lower=1, clean=0, overwrite_a=1) if data.n else (matrix, 0)
         # info > 0 is the order of the first minor that is not positive, counted from 1.
         lost = np.diagonal(factor) ** 2 * data.counts < SMALLEST_PIVOT
         small = [info - 1] if info > 0 else np.flatnonzero(lost)

@@ -22,7 +22,7 @@ function costs half a microsecond, so P is tabulated by cubics that match value 
 import math
 
 import numpy as np
-from scipy.special import kv
+import scipy
 
 from .kernels import Floats, Matern
 
@@ -173,7 +173,7 @@ def _bessel(order: float, s: Floats) -> Floats:
     """Return P_order(s) = s^order K_order(s); its limit at 0, 2^(order-1) Gamma(order), or infinity for order <= 0."""
     limit = 2.0 ** (order - 1.0) * math.gamma(order) if order > 0 else math.inf
     with np.errstate(divide="ignore", invalid="ignore", over="ignore", under="ignore"):
-        values = _HALF_INTEGER[order](s) if order in _HALF_INTEGER else s**order * kv(abs(order), s)
+        values = _HALF_INTEGER[order](s) if order in _HALF_INTEGER else s**order * scipy.special.kv(abs(order), s)
     # Near 0 a large order overflows; P decreases, so the limit bounds it there and is accurate to s^2.
     return np.where((s == 0) | ~np.isfinite(values), limit, values)
 

@@ -16,7 +16,7 @@ mu_a(z) = sum W u/(e + a), sigma_a^2(z) = 1 - sum W^2/(e + a).
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import eigh
+import scipy
 
 from .kernels import Floats
 from .observations import Observations
@@ -59,7 +59,7 @@ def decompose(data: Observations) -> Spectrum:
     # Symmetric scaling: the eigenvalues of the n x n matrix of all observations that are not 0.
     root = np.sqrt(data.counts)
     matrix = root[:, None] * data.points.gram * root
-    values, vectors = eigh(matrix, overwrite_a=True, check_finite=False)
+    values, vectors = scipy.linalg.eigh(matrix, overwrite_a=True, check_finite=False)
     projector = np.ascontiguousarray(vectors.T * root)
     error = ROUND_OFF * max(1.0, float(values[-1]))
     # K is positive semidefinite: eigenvalues below 0 are round-off, which `error` bounds.

@@ -8,7 +8,7 @@
 """
 
 import numpy as np
-from scipy.linalg.blas import dtpsv
+import scipy
 
 from .kernels import Floats
 
@@ -51,5 +51,5 @@ class Triangle:
     def _solve(self, x: Floats, *, transposed: int) -> Floats:
         if not self.size:  # BLAS refuses a matrix of order 0
             return np.empty(0)
-        solution = dtpsv(self.size, self._packed[: self._length], x, lower=0, trans=transposed)
+        solution = scipy.linalg.blas.dtpsv(self.size, self._packed[: self._length], x, lower=0, trans=transposed)
         return np.asarray(solution, dtype=np.float64)

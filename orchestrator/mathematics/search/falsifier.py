@@ -17,8 +17,8 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import log_ndtr
 
 from ..gp.kernels import Floats
 from .surrogate import Surrogate, fitted, prior_mode
@@ -256,7 +256,7 @@ def _improvement(model: Surrogate, points: Floats, level: float) -> Floats:
     u = (level - mean) / sd
     density = -0.5 * u * u - 0.5 * math.log(2 * math.pi)  # ln phi(u)
     # ln(1 + u Phi(u)/phi(u)); its argument loses its digits where Phi is small.
-    ratio = u * np.exp(np.minimum(log_ndtr(u) - density, 700.0))
+    ratio = u * np.exp(np.minimum(scipy.special.log_ndtr(u) - density, 700.0))
     with np.errstate(divide="ignore", invalid="ignore"):
         inner = np.where(u > -25.0, np.log1p(np.maximum(ratio, -1.0)), -2.0 * np.log(np.abs(u)))
     return np.asarray(np.log(sd) + density + inner, dtype=np.float64)

@@ -23,8 +23,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtrs
-from scipy.spatial.distance import cdist
+import scipy
 
 from ..gp.kernels import Floats, Matern
 from ..gp.radial import Radial
@@ -76,7 +75,7 @@ def _likelihood(theta: Floats, squares: Floats, values: Floats) -> tuple[float, 
     n, scales, nugget = len(values), np.exp(-2.0 * theta[:-1]), math.exp(theta[-1])
     r = np.sqrt(np.tensordot(scales, squares, 1))
     factor = _factor(KERNEL.value(r), nugget)
-    inverse = np.tril(dpotri(factor, lower=1)[0])
+    inverse = np.tril(scipy.linalg.lapack.dpotri(factor, lower=1)[0])
     inverse += np.tril(inverse, -1).T
     sums = inverse.sum(axis=1)
     centred = values - float(sums @ values) / float(sums.sum())
@@ -99,19 +98,19 @@ class Surrogate:
         self.lengths, nugget = np.exp(theta[:-1]), math.exp(theta[-1])
         self._n = len(points)
         self._points = np.vstack([points, *pending]) / self.lengths  # (n + tests in flight, p)
-        self._factor = _factor(KERNEL.value(cdist(self._points, self._points)), nugget)
+        self._factor = _factor(KERNEL.value(scipy.spatial.distance.cdist(self._points, self._points)), nugget)
         # The leading block of a Cholesky factor is the factor of the leading block: that of the observed tests.
         observed = np.asfortranarray(self._factor[: self._n, : self._n])
-        weights = dpotrs(observed, np.stack([np.ones(self._n), values], axis=1), lower=1)[0]
+        weights = scipy.linalg.lapack.dpotrs(observed, np.stack([np.ones(self._n), values], axis=1), lower=1)[0]
         self._mean = float(weights[:, 1].sum()) / float(weights[:, 0].sum())
         self._weights = weights[:, 1] - self._mean * weights[:, 0]
         self._variance = (float((values - self._mean) @ self._weights) + 1.0) / (self._n + 1)
 
     def moments(self, points: Floats) -> tuple[Floats, Floats]:
         """Return mean and standard deviation, shape (m,) each, at points (m, p) of the unit box."""
-        kernel = KERNEL.value(cdist(self._points, points / self.lengths))  # (n, m)
+        kernel = KERNEL.value(scipy.spatial.distance.cdist(self._points, points / self.lengths))  # (n, m)
         mean = self._mean + self._weights @ kernel[: self._n]
-        half = dtrtrs(self._factor, kernel, lower=1)[0]
+        half = scipy.linalg.lapack.dtrtrs(self._factor, kernel, lower=1)[0]
         share = np.maximum(1.0 - np.einsum("ij,ij->j", half, half), 1e-12)
         return np.asarray(mean), np.asarray(np.sqrt(self._variance * share))
 
@@ -119,7 +118,7 @@ class Surrogate:
 def _factor(kernel: Floats, nugget: float) -> Floats:
     """Return the lower Cholesky factor of the kernel matrix with the nugget, in Fortran order."""
     kernel.flat[:: len(kernel) + 1] += nugget
-    factor, info = dpotrf(kernel.T, lower=1, overwrite_a=1)
+    factor, info = scipy.linalg.lapack.dpotrf(kernel.T, lower=1, overwrite_a=1)
     # With a nugget of 1e-6 and a kernel of smoothness 1.5, no matrix of a few hundred tests is singular.
     assert info == 0
     return np.asarray(factor)

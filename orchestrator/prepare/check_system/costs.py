@@ -38,7 +38,7 @@ def judge_memory(measurements: Measurements) -> SystemFinding | None:
     return SystemFinding(
         "memory",
         "failed" if lost else "warning",
-        f"{text}, {each * CAMPAIGN / 1e9:.1f} GB in {CAMPAIGN} rollouts",
+        f"{text}, {each * CAMPAIGN / 1e9:.1f} GB in {CAMPAIGN:,} rollouts",
         "free what a rollout makes: clear lists and caches, close figures, simulators and files at its end",
     )
 

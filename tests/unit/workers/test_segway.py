@@ -349,6 +349,7 @@ def test_the_visual_follows_the_trajectory() -> None:
     assert 2 * np.arctan2(pendulum.rotation[:, 1], pendulum.rotation[:, 3]) == pytest.approx(
         trajectory.samples[trajectory.frames, PHI]
     )
+    assert seen.scene is not None
     assert {entity.frame_id for entity in seen.scene.entities} == {"world", "base_link", "pendulum"}
     assert all(entity.frame_locked for entity in seen.scene.entities)
 
@@ -372,7 +373,8 @@ def test_the_file_shows_the_scene() -> None:
     data = encode(shown, request={}, metadata={}, units=units)
     reader = make_reader(io.BytesIO(data), validate_crcs=True, decoder_factories=[DecoderFactory()])
     ((_, _, _, scene),) = reader.iter_decoded_messages("/scene")
-    assert scene.SerializeToString(deterministic=True) == SYSTEM.visual(plain).scene.SerializeToString(
-        deterministic=True
-    )
+    usual = SYSTEM.visual(plain).scene
+    assert scene is not None
+    assert usual is not None
+    assert scene.SerializeToString(deterministic=True) == usual.SerializeToString(deterministic=True)
     assert digest(decode(data)) == digest(plain)

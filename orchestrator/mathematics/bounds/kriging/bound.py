@@ -69,6 +69,11 @@ class KrigingPremises:
         """ln(1/delta), rounded up."""
         return -math.log(self.delta) * (1.0 + 1e-14)
 
+    @property
+    def without_data(self) -> float:
+        """The lower bound of mu before any rollout: |f| <= B, because k(z, z) = 1."""
+        return max(self.prior_mean - self.rkhs_norm, self.ends[0])
+
 
 class GuessedMean:
     """u_t: the mean of all rollouts before, and of one imaginary rollout of value m0, within [a, b]."""
@@ -131,12 +136,7 @@ class KrigingBounds:
         self._least = np.zeros_like(cells.kernel(0))  # of sum W_i k(d, x_i), on the subgrid
         self._squared = np.zeros(m)
         self._count = 0
-        # Before any rollout |f| <= B, because k(z, z) = 1.
-        self.lower = np.full(m, self._without_data)
-
-    @property
-    def _without_data(self) -> float:
-        return max(self.premises.prior_mean - self.premises.rkhs_norm, self.premises.ends[0])
+        self.lower = np.full(m, premises.without_data)
 
     @property
     def rollouts(self) -> int:
@@ -224,7 +224,7 @@ class KrigingBounds:
         found = self._best(gain, least, spread) - b * self._cells.reach
         if has_bend(self._cells.sag):
             found = np.maximum(found, self._best(gain, least - self._cells.sag * spread, spread))
-        return np.minimum(np.maximum(m0 + found, self._without_data), m0 + b)
+        return np.minimum(np.maximum(m0 + found, self.premises.without_data), m0 + b)
 
     def _best(self, gain: Floats, least: Floats, spread: Floats) -> Floats:
         """Return the largest of kappa A - B sqrt(...) over kappa, (m,)."""

@@ -88,14 +88,12 @@ class PlannedBounds:
         """
         return -forecast_minima(self.bounds, ComingRollouts(self.left, self._mirrored(laws), -errors))
 
-    def outlook(self, more: float) -> tuple[Floats, Floats] | None:
+    def outlook(self, more: float) -> tuple[Floats, Floats]:
         """Return bounds of max J at the end of the plan, (r,), and what `more` rollouts in it would gain, (r,).
 
         It is how the rollouts so far may continue, and no claim. Means follow the posterior of a Gaussian process, and
-        rollouts have the variance seen so far. None before every point was tested: nothing is known there.
+        rollouts have the variance seen so far, so that every point needs some.
         """
-        if np.any((self.counts > 0) & (self.means.counts == 0)):
-            return None
         variances = self.means.variances()
         means, covariance = self.means.posterior(variances)
         covariance = covariance + np.diag(variances / np.maximum(self.left, 1.0))

@@ -16,8 +16,9 @@ something else than J* and no tolerance could end the campaign. The budget ends 
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -76,13 +77,22 @@ class KrigingMethod(Method):
         points = lattice.nodes[list(self.design.nodes)]
         self._to_nodes, inner = between(radial, lattice.nodes, points), between(radial, points, points)
         self._counts = counts = np.array(self.design.counts, dtype=np.float64) * budget.replicates
-        planned = plan_weights(self._to_nodes, inner, counts, _weight_terms(self._premises, spread))
-        self._bounds = KrigingBounds(
-            planned, inner, NodeCells(lattice, radial, points), self._premises, error=radial.error
+        terms = _weight_terms(self._premises, spread)
+        self._open: Callable[[], KrigingBounds] = lambda: KrigingBounds(
+            plan_weights(self._to_nodes, inner, counts, terms),
+            inner,
+            NodeCells(lattice, radial, points),
+            self._premises,
+            error=radial.error,
         )
         self._means = PointMeans(inner, self._premises, spread)
         self._audit = NormAudit(self._means, counts, self._premises, spread)
-        self._tests, self.beyond_ball, self._upper = 0, False, -self._bounds.minimum()
+        self._tests, self.beyond_ball, self._upper = 0, False, -self._premises.without_data
+
+    @cached_property
+    def _bounds(self) -> KrigingBounds:
+        # The plan of the weights takes a second, and no proposal waits for it: the workers have their tests by then.
+        return self._open()
 
     @property
     def size(self) -> int:
@@ -103,6 +113,12 @@ class KrigingMethod(Method):
     def coming(self) -> PlannedBounds:
         """The rest of the plan, for forecasts."""
         return PlannedBounds(self._bounds, self._means, self._counts)
+
+    def outlook(self, more: float) -> tuple[Floats, Floats] | None:
+        """Return the `PlannedBounds.outlook`; None before every point was tested: nothing is known there."""
+        if np.any((self._counts > 0) & (self._means.counts == 0)):
+            return None
+        return self.coming.outlook(more)
 
     def propose(self, first: int | None = None, pending: Sequence[int] = ()) -> Proposal:  # noqa: ARG002
         """Return the next test of the design; it changes nothing, and `first` has no effect here.

@@ -36,7 +36,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from itertools import pairwise
 
-from scipy.special import betainc, betaincc
+import scipy
 
 from ..rounding import ROUND_OFF, STEP
 from .share import check_counts
@@ -53,7 +53,7 @@ def log_wealth_above(p: float, failures: int, count: int) -> float:
 
     """
     a, b = failures + SHAPE, count - failures + 1.0
-    return _log_scaled(p, a, b, float(betainc(a, b, p)))
+    return _log_scaled(p, a, b, float(scipy.special.betainc(a, b, p)))
 
 
 def log_wealth_below(p: float, failures: int, count: int) -> float:
@@ -68,7 +68,7 @@ def log_wealth_below(p: float, failures: int, count: int) -> float:
     if not failures:
         return -math.inf
     a, b = failures - SHAPE, count - failures + 1.0
-    return _log_scaled(p, a, b, float(betaincc(a, b, p)))
+    return _log_scaled(p, a, b, float(scipy.special.betaincc(a, b, p)))
 
 
 def _log_scaled(p: float, a: float, b: float, tail: float) -> float:

@@ -19,7 +19,7 @@ from collections.abc import Iterable
 from fractions import Fraction
 
 import numpy as np
-from scipy.special import bdtr, bdtrc, betaincinv
+import scipy
 
 from ..rounding import decimal, floor_to_step, round_down, round_up
 
@@ -41,9 +41,9 @@ def clopper_pearson_upper(failures: int, count: int, delta: float) -> float:
     check_counts(failures, count, delta)
     if failures == count:
         return 1.0
-    p = round_up(min(float(betaincinv(failures + 1, count - failures, 1.0 - delta)), 1.0))
+    p = round_up(min(float(scipy.special.betaincinv(failures + 1, count - failures, 1.0 - delta)), 1.0))
     # The quantile function is iterative: the distribution function, with its own round-off, decides.
-    while p < 1.0 and not float(bdtr(failures, count, p)) <= delta * (1.0 - 1e-12):
+    while p < 1.0 and not float(scipy.special.bdtr(failures, count, p)) <= delta * (1.0 - 1e-12):
         p = min(round_up(p + 1e-9), 1.0)
     return p
 
@@ -65,9 +65,9 @@ def clopper_pearson_lower(failures: int, count: int, delta: float) -> float:
     check_counts(failures, count, delta)
     if failures == 0:
         return 0.0
-    p = round_down(max(float(betaincinv(failures, count - failures + 1, delta)), 0.0))
+    p = round_down(max(float(scipy.special.betaincinv(failures, count - failures + 1, delta)), 0.0))
     # As above: the distribution function decides.
-    while p > 0.0 and not float(bdtrc(failures - 1, count, p)) <= delta * (1.0 - 1e-12):
+    while p > 0.0 and not float(scipy.special.bdtrc(failures - 1, count, p)) <= delta * (1.0 - 1e-12):
         p = max(round_down(p - 1e-9), 0.0)
     return p
 
@@ -100,7 +100,7 @@ def quantile_rank(count: int, share: float, delta: float) -> int | None:
     """
     if count < 1 or not 0.0 < share < 1.0 or not 0.0 < delta < 1.0:
         raise ValueError(f"count must be positive, share and delta in (0, 1); not {count!r}, {share!r}, {delta!r}")
-    below = np.asarray(bdtr(np.arange(count), count, share)) <= delta * (1.0 - 1e-12)
+    below = np.asarray(scipy.special.bdtr(np.arange(count), count, share)) <= delta * (1.0 - 1e-12)
     return int(below.sum()) or None
 
 

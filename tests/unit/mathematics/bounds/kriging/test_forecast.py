@@ -45,15 +45,15 @@ def run(method: KrigingMethod, rng: np.random.Generator, tests: int) -> float:
 def test_nothing_is_forecast_before_every_point_was_tested() -> None:
     method, rng = a_method(), np.random.default_rng(0)
     run(method, rng, 4)
-    assert method.coming.outlook(1000) is None
+    assert method.outlook(1000) is None
     run(method, rng, 1)
-    assert method.coming.outlook(1000) is not None
+    assert method.outlook(1000) is not None
 
 
 def test_the_forecast_at_the_end_is_the_bound() -> None:
     method = a_method()
     upper = run(method, np.random.default_rng(0), TESTS)
-    found = method.coming.outlook(1000)
+    found = method.outlook(1000)
     assert found is not None
     assert np.all(found[0] == upper)
     assert np.all(method.coming.left == 0)
@@ -64,7 +64,7 @@ def test_a_forecast_after_a_third_of_the_tests_comes_near_the_end_and_changes_no
     for seed in range(10):
         method, rng = a_method(), np.random.default_rng(seed)
         now = run(method, rng, TESTS // 3)
-        found = method.coming.outlook(1000)
+        found = method.outlook(1000)
         assert found is not None
         low, middle, high = np.quantile(found[0], (0.025, 0.5, 0.975)).tolist()
         end = run(method, rng, TESTS - TESTS // 3)
@@ -83,6 +83,6 @@ def test_what_more_rollouts_gain_is_about_what_a_longer_plan_gains() -> None:
     short, long = (a_method(tests).coming.forecast(laws, none)[0] for tests in (TESTS, 3 * TESTS))
     method = a_method()
     run(method, np.random.default_rng(0), TESTS)
-    found = method.coming.outlook(2.0 * TESTS * REPLICATES)
+    found = method.outlook(2.0 * TESTS * REPLICATES)
     assert found is not None
     assert np.median(found[1]) == pytest.approx(short - long, rel=0.4)
