@@ -21,7 +21,7 @@ LOCKED = $(INSTALL) --only-binary :all: --require-hashes
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup slurm run test test-all every-test studies touched other-pythons mujoco smoke announce checks lint types imports doctests unit explore fuzz faults coverage reproduce bench bench-compare mutants schemas texts diagrams docs images lock clean
+.PHONY: help setup dev slurm run test test-all every-test studies touched other-pythons mujoco smoke announce checks lint types imports doctests unit explore fuzz faults coverage reproduce bench bench-compare mutants schemas texts diagrams docs images lock clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -46,6 +46,8 @@ $(INSTALLED)-%: $(LOCK)-%.txt $(INSTALLED)
 $(INSTALLED)-%: $(INSTALLED) ;
 
 setup: $(INSTALLED) ## Make the virtual environment with the locked versions (PYTHON=python3.12)
+
+dev: $(INSTALLED)-dev build/node/.installed build/backend/.installed ## The same, and what the tests need
 
 mujoco: $(INSTALLED)-mujoco ## Add MuJoCo to it, for deploy/examples/cartpole
 

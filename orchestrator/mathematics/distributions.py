@@ -3,16 +3,18 @@
 | symbol | name     | meaning                                         | shape | unit      |
 |--------|----------|-------------------------------------------------|-------|-----------|
 | u      | `shares` | numbers in [0, 1)                               | (n,)  | -         |
-| F      | `law`    | distribution before the truncation              |       |           |
+| F      | `before` | distribution before the truncation              |       |           |
 | a, b   | `low`, `high` | ends of the range                          | ()    | parameter |
 | x      |          | F^-1(F(a) + u (F(b) - F(a))), clipped to [a, b] | (n,)  | parameter |
 """
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ...schemas.file.space import DistributionName
 
 Floats = NDArray[np.float64]
 Inverse = Callable[[Floats], Floats]
@@ -20,7 +22,9 @@ LEAST = 1e-9
 """Least probability of a range: below it the range, or a unit, is a mistake, and F(b) - F(a) loses its digits."""
 
 
-def truncated(name: str, keys: Mapping[str, float], low: float, high: float, *, beyond: float = 0.0) -> Inverse:
+def truncated(
+    name: DistributionName, keys: Mapping[str, float], low: float, high: float, *, beyond: float = 0.0
+) -> Inverse:
     """Return the inverse of the distribution `name` with its `keys`, truncated to [low, high]: shares (n,) to values.
 
     With `beyond` the range of the truncation, not the distribution, is longer by so much at both ends.
@@ -32,15 +36,15 @@ def truncated(name: str, keys: Mapping[str, float], low: float, high: float, *, 
     [0.0, 2.5, 5.0]
 
     """
-    law = None if name == "uniform" else _law(name, keys, low, high)
+    before = _before(name, keys, low, high)
     low, high = low - beyond, high + beyond
-    if law is None:
+    if before is None:
         # Basic arithmetic alone: equal on all machines.
         return lambda shares: np.clip(low + shares * (high - low), low, high)
     # The upper tail by its own functions: near 1 a probability has no digits left.
-    upper = bool(law.cdf(low) > 0.5)
-    first, last = (law.sf(low), law.sf(high)) if upper else (law.cdf(low), law.cdf(high))
-    inverse = law.isf if upper else law.ppf
+    upper = bool(before.cdf(low) > 0.5)
+    first, last = (before.sf(low), before.sf(high)) if upper else (before.cdf(low), before.cdf(high))
+    inverse = before.isf if upper else before.ppf
     if not abs(last - first) >= LEAST:
         raise ValueError(f"less than {LEAST:g} of the distribution is in [{low:g}, {high:g}]")
     return lambda shares: np.clip(inverse(first + shares * (last - first)), low, high)
@@ -67,8 +71,10 @@ def _digits_of(value: float, size: float, digits: int) -> float:
     return round(value, digits - 1 - exponent) if size else value
 
 
-def _law(name: str, keys: Mapping[str, float], low: float, high: float) -> Any:
-    """Return the frozen distribution of scipy before the truncation."""
+def _before(name: DistributionName, keys: Mapping[str, float], low: float, high: float) -> Any | None:
+    """Return the frozen distribution of scipy before the truncation; None for the uniform one."""
+    if name == "uniform":
+        return None
     from scipy import stats  # noqa: PLC0415  (a second of start-up that few commands need)
 
     match name:
@@ -80,4 +86,5 @@ def _law(name: str, keys: Mapping[str, float], low: float, high: float) -> Any:
             return stats.triang(c=(keys["mode"] - low) / (high - low), loc=low, scale=high - low)
         case "weibull":
             return stats.weibull_min(c=keys["shape"], scale=keys["scale"])
-    raise ValueError(f"there is no distribution {name!r}")
+        case _:
+            assert_never(name)

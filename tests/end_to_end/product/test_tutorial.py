@@ -42,7 +42,7 @@ def shortened(text: str) -> str:
     for key, value in SHORT.items():
         head, found = re.subn(rf"(?m)^{key} = .*$", f"{key} = {value}", head)
         head = head if found else f"{key} = {value}\n{head}"
-    # The tutorial repeats a rollout of test 70.
+    # Enough tests for the rollout that the tutorial repeats.
     return head + table + re.sub(r"(?m)^max_tests = .*$", "max_tests = 71", tail)
 
 

@@ -72,6 +72,21 @@ def test_paths_exist(page: Path) -> None:
         assert (ROOT / path).exists(), path
 
 
+def test_pages_quote_one_run_of_the_segway() -> None:
+    """All of them quote `runs/segway`; its numbers follow from the seed in the campaign file."""
+    pages = {name: (ROOT / name).read_text() for name in NAMES}
+    quoted = [
+        r"Guaranteed margin ([\d.]+) rad",
+        r"(\d of [\d,]+ rollouts violate the specification; the worst [\d.]+ rad)",
+        r"replay runs/segway (true_risk\S+)",
+        r"runs/segway +SHOWN +>= ([\d.]+) rad",
+    ]
+    found = [{(name, value) for name, text in pages.items() for value in re.findall(each, text)} for each in quoted]
+    assert [{value for _, value in each} for each in found if len({value for _, value in each}) != 1] == [], found
+    margins = {value for _, value in found[0] | found[3]}
+    assert len(margins) == 1, margins
+
+
 def test_the_tree_of_the_architecture_page_is_the_layers_that_are_checked() -> None:
     """By name and order: one room per line of the tree."""
     rules = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"][0]["layers"]

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from perfbound.schemas.file.config import campaign_text
+from perfbound.schemas.file.config import DECIDES_NOTHING, CampaignConfig, campaign_text
 from perfbound.schemas.file.reader import load_campaign
 
 ROOT = Path(__file__).parents[4]
@@ -20,3 +20,17 @@ def test_the_text_of_a_campaign_is_the_same_campaign(path: Path, tmp_path: Path)
     assert again == given
     assert again.digest == given.digest
     assert len(campaign_text(given).splitlines()) < 60
+
+
+DECIDE = {
+    *("candidates", "claims", "clip", "composition", "falsify", "gap", "horizon", "max_tests", "name", "on_refuted"),
+    *("problems", "recheck", "regions", "replicates", "resolution", "risk_weight", "seed", "space", "specification"),
+    *("specifications", "spot_check", "spot_check_followups", "spot_replicates", "system", "until_counterexample"),
+    *("where", "window"),
+}
+"""Keys that decide a number of a campaign: they belong to its identity, and every seed follows from that."""
+
+
+def test_of_every_key_it_is_known_whether_it_decides_a_number() -> None:
+    found = CampaignConfig.model_fields.keys()
+    assert found - DECIDE == DECIDES_NOTHING, "a new key that changes no number belongs to DECIDES_NOTHING, else here"
