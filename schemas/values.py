@@ -12,6 +12,7 @@ Stamps = Literal["exact", "float32", "accumulated"]
 """Times of samples: numbers of a step, rounded to float32, or sums with the round-off of every step."""
 SampledQuantity = Literal["failure_probability", "quantile", "cvar", "mean", "risk", "share_of_starts", "next_rollout"]
 """The subject of a claim about drawn starts."""
+DistributionName = Literal["uniform", "normal", "lognormal", "triangular", "weibull"]
 StoppedBy = Literal["converged", "budget", "refuted", "counterexample"]
 
 

@@ -14,7 +14,7 @@ from typing import Any, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from ...schemas.file.space import DistributionName
+from ...schemas.values import DistributionName
 
 Floats = NDArray[np.float64]
 Inverse = Callable[[Floats], Floats]

@@ -9,7 +9,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from ..base import Model
 from ..ranges import SEED_BITS
 from ..system import AfterEnd, OptionValue, Variant
-from ..values import Stamps
+from ..values import DistributionName, Stamps
 from .signals import MAX_KNOTS, SignalKind, least_knots
 
 MAX_SCENARIOS = 1000
@@ -153,7 +153,6 @@ PROGRAM_KEYS = (
 """Keys of `[system]` that describe a program."""
 
 
-DistributionName = Literal["uniform", "normal", "lognormal", "triangular", "weibull"]
 DISTRIBUTIONS: Mapping[DistributionName, tuple[str, ...]] = {
     "uniform": (),
     "normal": ("mean", "sd"),

@@ -33,10 +33,9 @@ from ..data.ranges import ranges
 from ..data.rollouts import RankedTest, RolloutsOfTest
 from ..rollout import of_tests
 from . import wording
+from .cards import live_card, provenance
 from .complete import ProblemCompleter, ending_counterexample
-from .live import live_card
 from .problem import ProblemCollector
-from .provenance import provenance
 from .scenes import SceneCache, bounded_scenes
 from .trust import TrustStatistics
 from .violations import ViolationStatistics

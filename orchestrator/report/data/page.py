@@ -15,10 +15,9 @@ from pydantic import BaseModel
 
 from ....schemas.file.objectives import Quantity
 from ....schemas.result.certificate import CompositionTerms
+from ....schemas.result.known import VerdictWord
 from ...run.routers import RouterLink
 from ...store.changes import ComparedResult
-from ..collect.live import LiveCard
-from ..collect.provenance import Provenance
 from .charts import ProblemCharts
 from .claims import AssumptionRow, Claim, VerdictCard
 from .rollouts import FoundCounterexample, RankedTest, Rollout, RolloutsOfTest, ViolatingStarts
@@ -33,6 +32,57 @@ ROUND_OFF = 1e-10
 
 State = Literal["running", "stopped", "finished"]
 Series = tuple[float | None, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """The origin of a campaign; names are untrusted text."""
+
+    accounts: tuple[str, ...]
+    """Of the users who ran the orchestrator."""
+    hosts: tuple[str, ...]
+    """Of the orchestrator."""
+    platforms: tuple[str, ...]
+    started: float | None
+    """Unix time of the first session."""
+    ended: float | None
+    """Unix time of the last result."""
+    digest: str
+    """SHA-256 of the campaign file in its canonical form."""
+    file: str
+    """The campaign file: all keys that differ from their defaults."""
+    commit: str | None
+    """Of the folder of a system that is not installed."""
+
+
+@dataclass(frozen=True, slots=True)
+class LiveCard:
+    """The two rows of what holds, the progress bar, and the assumptions that were tested."""
+
+    at: float
+    """Unix time of these numbers."""
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    """Proven so far, and expected at the end; as many cells as `head`."""
+    verdict: VerdictWord
+    """If the campaign ended now."""
+    ahead: VerdictWord | None
+    """At the end; None while it is open."""
+    reason: str
+    """Why it is this verdict."""
+    share: float
+    """Of the work, from 0 to 1."""
+    bar: str
+    """The meaning of the share."""
+    violations: str
+    """How many rollouts violate the specification so far."""
+    violated: bool
+    tested: tuple[AssumptionRow, ...]
+    """Refuted ones first."""
+    others: tuple[str, ...]
+    """Ids of those that only further claims rest on."""
+    then: str
+    """What a refutation leads to in this campaign."""
 
 
 @dataclass(frozen=True, slots=True)

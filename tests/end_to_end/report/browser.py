@@ -1,6 +1,7 @@
 """A real browser for the pages: Chromium under playwright.
 
-A test module takes the fixture: `from tests.end_to_end.report import browser as chromium`, then `browser = chromium.browser`.
+A test module takes the fixture: `from tests.end_to_end.report import browser as chromium`,
+then `browser = chromium.browser`.
 Its scope is the module, not the session: while playwright's loop runs, no other test could run one.
 """
 

@@ -7,9 +7,8 @@ import pytest
 from playwright.sync_api import Browser, Route
 
 from perfbound.orchestrator.report import html
-from perfbound.orchestrator.report.collect.live import LiveCard
 from perfbound.orchestrator.report.data.claims import AssumptionRow
-from perfbound.orchestrator.report.data.page import ReportData, to_json
+from perfbound.orchestrator.report.data.page import LiveCard, ReportData, to_json
 from perfbound.orchestrator.run.routers import RouterLink
 from tests.end_to_end.report import browser as chromium
 from tests.end_to_end.report import example_reports

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from perfbound.orchestrator.mathematics.distributions import LEAST, to_digits, truncated
-from perfbound.schemas.file.space import DISTRIBUTIONS, DistributionName
+from perfbound.schemas.file.space import DISTRIBUTIONS
+from perfbound.schemas.values import DistributionName
 
 LAWS: list[tuple[DistributionName, dict[str, float], float, float, Any]] = [
     ("uniform", {}, -3.0, 4.0, stats.uniform(-3.0, 7.0)),

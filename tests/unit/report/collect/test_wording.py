@@ -1,6 +1,6 @@
 """The question of a campaign, where its evidence comes from, and the constants beside what is assumed."""
 
-from perfbound.orchestrator.report.collect.provenance import MOST_NAMED, provenance
+from perfbound.orchestrator.report.collect.cards import MOST_NAMED, provenance
 from perfbound.orchestrator.report.collect.wording import question_words
 from perfbound.orchestrator.report.data.claims import assumption_row
 from perfbound.orchestrator.store.changes import Session

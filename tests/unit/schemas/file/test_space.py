@@ -20,7 +20,6 @@ from perfbound.schemas.file.reader import load_campaign, parse_campaign
 from perfbound.schemas.file.space import (
     DISTRIBUTIONS,
     MAX_TABLE,
-    DistributionName,
     Range,
     Space,
     SpaceKind,
@@ -29,6 +28,7 @@ from perfbound.schemas.file.space import (
     space_kind,
 )
 from perfbound.schemas.system import Column, Parameter, SystemSpec
+from perfbound.schemas.values import DistributionName
 from tests.facts import facts, says
 
 ROOT = Path(__file__).parents[4]
