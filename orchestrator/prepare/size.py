@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from ...schemas.values import Guess
+
 SECONDS, WORKERS = 60.0, 2
 """Duration of a first campaign, and the local workers of `perfbound run`."""
 LEAST_COST = 0.005
@@ -49,6 +51,17 @@ def first_size(cost: float | None, *, noisy: bool, variants: int) -> FirstSize:
     half = int((affordable - full.recheck) / 2) // variants
     tests = max(FEWEST_TESTS, min(full.max_tests * full.replicates, half))
     return FirstSize(tests, 1, max(FEWEST_STARTS, min(full.spot_check, half)))
+
+
+def growing_time(seconds: float, tried: int, tests: float) -> Guess:
+    """Return the time of the mathematics of so many tests; a test takes as long as those that were tried, or longer.
+
+    >>> growing_time(2.0, 100, 200)
+    Guess(middle=6.0, low=4.0, high=8.0)
+    """
+    share = tests / tried
+    low, high = sorted((seconds * share, seconds * share**2))
+    return Guess((low + high) / 2, low, high)
 
 
 def first_samples(cost: float | None) -> FirstSize:

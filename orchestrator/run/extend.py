@@ -22,7 +22,7 @@ def give_budget(directory: Path, options: RunOptions, console: Console, max_test
     with reopened(directory, options) as (journal, _):
         extended = extend_campaign(directory, journal, max_tests)
     if extended is not None:
-        text = f"{extension_words(extended, max_tests)}; what the certificate so far consists of is kept beside"
+        text = f"{extension_words(extended, max_tests)}; the files of the certificate so far are kept beside"
         console.print(Text(f"{directory}: {text}"), soft_wrap=True)
 
 

@@ -268,7 +268,7 @@ def run_campaign(
     if (directory / DATABASE).exists():
         found = places.stored_differently(directory, config)
         differing = f"another campaign is here ({found})" if found else "this campaign is here already"
-        remedy = "choose another `out`" if found else f"continue it with perfbound.resume({str(directory)!r})"
+        remedy = "choose another `out`" if found else _of_this(directory)
         raise PerfboundError(f"{directory}: {differing}; {remedy}")
     console = output(progress=progress)
     if system.here is not None:
@@ -277,6 +277,14 @@ def run_campaign(
         session.start_campaign(config, source, directory, _run_options(workers, system.reference, own), console)
         _write_page(directory, console)
     return Run(directory)
+
+
+def _of_this(directory: Path) -> str:
+    """Return what to do with a campaign that was started before."""
+    name = repr(str(directory))
+    if files.read(directory) is not None:
+        return f"read it with perfbound.open({name}), or choose another `out` to run it again"
+    return f"continue it with perfbound.resume({name})"
 
 
 def _write_page(directory: Path, console: Console) -> None:

@@ -19,9 +19,9 @@ class CampaignSize(Model):
 
     name: str = Field(
         pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$",
-        description="names the run directory; with `seed`, decides on all seeds",
+        description="names the run directory; seeds follow from it, `seed`, and all other keys that decide a number",
     )
-    seed: int = Field(default=1, ge=0, lt=2**53, description="determines every random choice; `--seed` overrides it")
+    seed: int = Field(default=1, ge=0, lt=2**53, description="other seeds for the same campaign; `--seed` overrides it")
     window: int = Field(default=1, ge=1, le=10_000, description="tests in flight per problem")
     replicates: int = Field(default=1, ge=1, le=100_000, description="rollouts per test and variant")
     resolution: int = Field(default=RESOLUTION, ge=2, description="lattice nodes per parameter")

@@ -154,6 +154,8 @@ def system(
 
     def decorate(function: Callable[..., Any]) -> FunctionSystem:
         place = f"system {getattr(function, '__name__', function)!r}"
+        if not isinstance(columns, Mapping):
+            raise DefinitionError(f"{place}: columns are names with units, such as {{'height': 'm'}}; '' for none")
         signature = _signature(function, place)
         positional = [each.name for each in signature if each.kind is not each.KEYWORD_ONLY]
         if positional != list(parameters):
@@ -173,6 +175,9 @@ def system(
             )
         if found and "seed" not in passed:
             raise DefinitionError(f"{place}: noisy: a function that depends on chance takes its `seed` as an argument")
+        for each, given in parameters.items():
+            if not isinstance(given, Parameter):
+                raise DefinitionError(f"{place}: {each}: {given!r} is no parameter; write pb.Parameter(low, high)")
         for each in (*positional, *columns, *(option.name for option in options)):
             if not NAME.fullmatch(each):
                 raise DefinitionError(f"{place}: {each!r}: a name consists of a-z, 0-9 and _, the first is a letter")

@@ -134,16 +134,16 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "assumed": "no test has two replicates, so no data were compared with the noise scale.",
     },
     "deterministic": {
-        "refuted": "at {differing} of {repeated} repeated places the values differ, although R = 0 means that the "
+        "refuted": "at {differing} of {repeated} repeated starts the values differ, although R = 0 means that the "
         "variant is deterministic: give R > 0.",
-        "not refuted": "the values at all {repeated} repeated places agree bit by bit, as R = 0 requires.",
-        "assumed": "R = 0 comes from the campaign file, and no place was repeated to test it.",
+        "not refuted": "the values at all {repeated} repeated starts agree bit by bit, as R = 0 requires.",
+        "assumed": "R = 0 comes from the campaign file, and no start was simulated with another seed to test it.",
     },
     "deterministic_nominal": {
         "refuted": "the replicates of a test share one nominal rollout, because the system declares that variant "
         "deterministic, but in nominal_robustness the values at {differing} of {repeated} repeated places differ.",
         "not refuted": "the replicates of a test share one nominal rollout, because the system declares that variant "
-        "deterministic; in nominal_robustness the values at all {repeated} repeated places agree bit by bit.",
+        "deterministic; in nominal_robustness the values at all {repeated} repeated starts agree bit by bit.",
         "assumed": "the replicates of a test share one nominal rollout, because the system declares that variant "
         "deterministic; no rollout was repeated to test it.",
     },
@@ -304,7 +304,8 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "the same trajectory: a rollout does not follow from its seed, and no one can repeat the evidence.",
         "not refuted": "{rechecked} recorded rollouts, drawn after all others were fixed, were simulated once more "
         "with their seeds, and all of them gave the same trajectory; up to {percent} % of all rollouts could differ "
-        "unseen (confidence .95). What a simulator draws once, at its start, shows where another process repeats it.",
+        "unseen (confidence .95). What a simulator draws once, when its process starts, is seen only where another "
+        "process repeats the rollout.",
         "assumed": "no rollout was simulated once more, so nothing shows whether a rollout follows from its seed.",
     },
     "discarded": {

@@ -178,16 +178,16 @@ def _other_constants(config: CampaignConfig, problem: Problem) -> str:
     if times < LARGE_NORM:
         return ""
     return (
-        f"Other constants rather than more tests: `rkhs_norm` = {problem.rkhs_norm:g} is {times:.0f} times the width "
-        f"of the clip, and the tests first have to undo that. {CALIBRATE}"
+        f"New constants in a new campaign, from other rollouts: `rkhs_norm` = {problem.rkhs_norm:g} is {times:.0f} "
+        f"times the width of the clip, which more tests would first have to undo. {CALIBRATE}"
     )
 
 
 def _forecast_words(short: ShortBound, found: ProblemProgress, needed: NeededTests | None) -> str:
     if needed is None or needed.low is None:
         return (
-            f"Other constants rather than more tests: by its course so far, {FURTHEST} times as many tests would not "
-            f"bring the bound to what is required. {CALIBRATE}"
+            f"New constants in a new campaign, from other rollouts: by its course so far, {FURTHEST} times as many "
+            f"tests would not bring the bound to what is required. {CALIBRATE}"
         )
     if needed.probable is None or needed.high is None:
         return (

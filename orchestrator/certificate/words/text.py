@@ -279,7 +279,7 @@ def _nothing(claim: CertificateClaim, value: float | None) -> bool:
 def _alone_proves(claim: CertificateClaim, alone: float) -> str:
     """Return a sentence about the share of the rollouts in a claim."""
     by_clip = is_vacuous(alone, claim.sense, claim.by_clip)
-    premises = "the clip proves" if by_clip else "B and the prior mean prove"
+    premises = "the clip alone implies" if by_clip else "B and the prior mean imply"
     gain = claim.bound - alone if claim.sense == ">=" else alone - claim.bound
     start = f"Without any rollout {premises} {outward(alone, claim.sense)}"
     if gain > SAME:
@@ -379,8 +379,8 @@ def _spot_finding(found: SpotCheckedProblem, spot: SpotCheck) -> str:
             seen = f"at {number} of {spot.starts} fresh starts the function that bounds the risk is beyond it"
         return f"{refuted}{seen}; with this confidence at most {share} % of the box is"
     left = f"; at {found.undecided} starts they are too few to tell" if found.undecided else ""
-    evidence = f"evidence {found.wealth or 0.0:.3g} after {found.rollouts} rollouts"
-    return f"{refuted}{evidence}, {1 / spot.level:g} would refute{left}"
+    evidence = f"evidence against it {found.wealth or 0.0:.3g} after {found.rollouts} rollouts"
+    return f"{refuted}{evidence}; {1 / spot.level:g} would refute it{left}"
 
 
 def _recheck_sentences(recheck: Recheck | None) -> Iterator[str]:

@@ -17,6 +17,7 @@ from ...mathematics.bounds.rigorous.method import ExhaustedError, RigorousMethod
 from ...mathematics.calibration.kernel_fit import KernelFit
 from ...mathematics.gp.kernels import Floats
 from ..rounded import rounded_up
+from ..size import growing_time
 from .budget import WORKERS, rollout_time
 from .constants import Constant, ProblemEvidence
 
@@ -97,9 +98,8 @@ def tolerance_forecast(
     budget = LARGEST_BUDGET if tests is None else min(math.ceil(MARGIN * tests), LARGEST_BUDGET)
     budget = int(float(f"{max(budget, 20):.2g}"))
     rollouts, seconds = rollout_time(config, plan, measured.cost, tests=budget)
-    # Its own tests took as long as those of the campaign will; each later one takes longer, with the square of its
-    # number.
-    own = (time.monotonic() - started) * max(1.0, budget / len(widths)) ** 3
+    # Its own tests took as long as those of the campaign will.
+    own = growing_time(time.monotonic() - started, len(widths), max(budget, len(widths))).middle
     # What is beyond the maximum falls as the distance of the bounds does.
     largest = float(truth.max())
     bound = largest + max(upper - largest, 0.0) * min(1.0, alpha / widths[-1]) if tests is not None else upper

@@ -49,7 +49,7 @@ def judge_output(measurements: Measurements) -> SystemFinding | None:
         return None
     printing = [found.printed for _, found in measurements.rolled if found.printed]
     if not printing:
-        return passed("output", "nothing")
+        return passed("output", "rollouts print nothing")
     said = next((run.printed for run in measurements.runs if run.printed), "")
     if all(sum(bool(found.printed) for found in run.measured) <= 1 for run in measurements.runs):
         return passed("output", f"one text in each process, at its first use: {said!r}")

@@ -153,4 +153,4 @@ def judge_random_state(measurements: Measurements) -> SystemFinding | None:
     if changed:
         text = f"rollouts change the global state of {' and '.join(changed)}, and do not depend on it"
         return warning("random state", text, own)
-    return passed("random state", "neither")
+    return passed("random state", "no global generator is used or read")

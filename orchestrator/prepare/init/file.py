@@ -47,7 +47,7 @@ def _head(campaign: FirstCampaign) -> Iterator[str]:
     yield from toml_comment(f"Columns of a rollout: {columns}.")
     yield from toml_comment(f"{basis.about} {FORMULAS}".strip())
     if not campaign.question.drawn:
-        yield "# For another formula, propose the constants anew and write them to another file:"
+        yield "# The constants fit this formula alone. For another one propose them anew, into another file:"
         yield f'#   {one_line(campaign.command)} --specification "..." --out FILE'
     yield f"specification = {toml_quoted(basis.specification)}"
     if campaign.candidates is not None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ....schemas import atomic
-from ....schemas.errors import PerfboundError, Stopped
+from ....schemas.errors import PerfboundError, Stopped, one_line
 from ....schemas.file.draft import parse_draft
 from ....schemas.file.method_spaces import FIXED_STARTS, LATTICE_PARAMETERS
 from ....schemas.file.objectives import OBJECTIVES, ProblemName, rolled_out
@@ -121,12 +121,25 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
     except FileExistsError:
         raise _exists(out) from None
     yield f"{out}: {news}"
-    file, edit = shlex.quote(str(out)), "" if wish.specification else "Edit its specification. "
-    if campaign.noisy and wish.question in CALIBRATED and len(spec.parameters) <= LATTICE_PARAMETERS:
+    yield from _next_steps(wish, campaign, out, failed=bool(fault))
+
+
+def _next_steps(wish: Wish, campaign: FirstCampaign, out: Path, *, failed: bool) -> Iterator[str]:
+    """Yield what to do with the file."""
+    drawn, file = campaign.question.drawn, shlex.quote(str(out))
+    if failed:
+        yield f"Fix this first, then write the file anew. For all faults: perfbound check-system {file}"
+        return
+    if campaign.noisy and wish.question in CALIBRATED and len(campaign.spec.parameters) <= LATTICE_PARAMETERS:
         yield (
             f"Rollouts are noisy. perfbound calibrate {file} proposes constants from more of them, and says whether "
             "method kriging may be expected to prove more."
         )
+    if not wish.specification and not drawn:
+        # B and its companions fit the formula that they were proposed for, and no other.
+        again = f'{one_line(campaign.command)} --specification "..." --out FILE'
+        yield f"The formula is a stand-in, and the constants fit it alone. For yours: {again}"
+    edit = "Edit its specification. " if not wish.specification and drawn else ""
     yield f"{edit}Check the system: perfbound check-system {file}. Then: perfbound run {file}"
 
 
@@ -164,7 +177,8 @@ def _proposal(wish: Wish, spec: SystemSpec, found: Pilot) -> tuple[FirstValues, 
         limit, _ = covering(every, 0.1, 0.0)
         specification = _above(column, limit, found.horizon)
         found = replace(found, scores={variant: each - limit for variant, each in found.scores.items()})
-        about = f"This formula holds in the whole pilot, where {column} was at least {every.min():g}: put yours here."
+        least = f"where {column} was at least {every.min():g}"
+        about = f"This formula holds in the whole pilot, {least}; it is a stand-in for yours."
     elif not question.drawn:
         about = "The constants below fit this formula."
     source = "" if not question.drawn else f"{question.values.capitalize()} proposed from {found.size}."

@@ -103,6 +103,7 @@ def _fails(campaign: "FirstCampaign") -> Iterator[str]:
         "answer. Every fourth test is drawn at random; if none fails, these say how often it fails at most."
     )
     yield "falsify = {}"
+    yield from _acceptable()
     yield "# Tests at most."
     yield f"max_tests = {min(campaign.size.max_tests, MOST_SEARCHED)}"
 
@@ -133,6 +134,16 @@ FEW = 298
 def _rare(campaign: "FirstCampaign") -> float:
     """Return the level of the worst cases that the number of samples can show."""
     return 0.01 if campaign.size.max_tests > FEW else 0.05
+
+
+def _acceptable() -> Iterator[str]:
+    yield "# The largest probability of a failure that you accept; without this key nothing is SHOWN:"
+    yield "# required_at_most = 0.01"
+
+
+def _counted(campaign: "FirstCampaign") -> Iterator[str]:
+    yield from _samples(campaign)
+    yield from _acceptable()
 
 
 def _how_often(_: "FirstCampaign") -> Iterator[str]:
@@ -272,7 +283,7 @@ QUESTIONS: Mapping[str, Question] = {
         "How often does it fail?",
         "at most this share of all rollouts violates the specification",
         'quantity = "failure_probability"',
-        _samples,
+        _counted,
         _how_often,
         drawn=True,
         clip=False,

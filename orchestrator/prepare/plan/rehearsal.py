@@ -29,6 +29,7 @@ from ...campaign.region import Start
 from ...campaign.seeds import first_node
 from ...forecast.outlook import CoursePoint, ending
 from ...mathematics.gp.kernels import scaled
+from ..size import growing_time
 
 FEWER, MORE = 1 / 3, 5.0
 """Tests of a campaign, in times of its rehearsal's: a real objective has more structure than ten rollouts show."""
@@ -52,14 +53,8 @@ class Rehearsal:
     """Of its mathematics."""
 
     def seconds_for(self, tests: float) -> Guess:
-        """Return the time of the mathematics of so many tests; a test takes as long as those before it, or longer.
-
-        >>> Rehearsal(100, None, (), 2.0).seconds_for(200)
-        Guess(middle=6.0, low=4.0, high=8.0)
-        """
-        share = tests / self.tests
-        low, high = sorted((self.seconds * share, self.seconds * share**2))
-        return Guess((low + high) / 2, low, high)
+        """Return the time of the mathematics of so many tests."""
+        return growing_time(self.seconds, self.tests, tests)
 
 
 class PilotRollouts:

@@ -1,4 +1,4 @@
-"""Cards at the head of the page: what a campaign has shown before its end, and where its evidence comes from.
+"""Cards at the head of the page, apart from the collector of numbers: what a campaign has shown, and its origin.
 
 The origin is who ran the campaign, when, on which machines, from which campaign file.
 """

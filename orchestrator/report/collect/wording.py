@@ -152,6 +152,6 @@ def question_words(header: Header, quantity: Quantity | None, listed: int | None
         return f"{least}. The margin of a rollout is its robustness: 0 is just met, and below 0 it violates."
     if quantity == "failure_probability":
         limit = config.required_at_most
-        at_most = "as small as possible" if limit is None else f"at most {limit:g}"
-        return f"{where}, the probability that a rollout violates it must be {at_most}."
+        at_most = "is asked for, without a limit" if limit is None else f"must be at most {limit:g}"
+        return f"{where}, the probability that a rollout violates it {at_most}."
     return ""

@@ -15,7 +15,7 @@ README = (ROOT / "README.md").read_text()
 @pytest.mark.journey
 def test_the_system_of_the_first_screen_runs_as_it_stands(started: Processes) -> None:
     (code,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-    (printed,) = re.findall(r"after a few seconds:\n\n```text\n(.*?)```", README, re.DOTALL)
+    (printed,) = re.findall(r"After a few seconds it prints:\n\n```text\n(.*?)```", README, re.DOTALL)
     (started.folder / "brake.py").write_text(code)
     ended = started.run("python", "brake.py")
     assert ended.code == 0, ended.err

@@ -358,7 +358,7 @@ def test_the_growth_of_memory(memory: Callable[[int], int], status: str) -> None
     assert found["memory"].status == status
     assert others(found).keys() <= {"memory"}
     if status == "warning":
-        assert says(found["memory"].detail, "10 kB 0.1 GB 10000 rollouts")
+        assert says(found["memory"].detail, "10 kB 0.1 GB 10,000 rollouts")
 
 
 def test_few_rollouts_show_no_growth() -> None:

@@ -28,7 +28,7 @@ def test_the_question_names_what_must_be_at_least_what() -> None:
     assert question_words(HEADER, "robustness", 25).startswith("From each of the 25 listed starts, the margin")
     drawn = question_words(HEADER, "failure_probability")
     assert drawn.startswith(
-        "At starts that are drawn as declared, the probability that a rollout violates it must be as"
+        "At starts that are drawn as declared, the probability that a rollout violates it is asked for"
     )
     assert question_words(HEADER, "J_star") == ""
 
