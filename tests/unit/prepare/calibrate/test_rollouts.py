@@ -1,0 +1,46 @@
+"""The division of a calibration's rollouts among child processes, and the choice between two methods."""
+
+from pathlib import Path
+
+import pytest
+
+from perfbound.orchestrator.prepare.calibrate.forecast import Instead
+from perfbound.orchestrator.prepare.calibrate.rollouts import (
+    FEWEST_OF_A_CHILD,
+    CalibrationRollouts,
+    RolloutBatch,
+    StartRollout,
+)
+from perfbound.orchestrator.prepare.child_rollouts import ChildSystem
+from perfbound.schemas.values import Guess
+from perfbound.workers.systems import load_system
+from tests.campaigns import config
+
+
+class Recorded(CalibrationRollouts):
+    """Rollouts that are only counted."""
+
+    def _run(self, batch: RolloutBatch) -> None:
+        pass
+
+
+@pytest.mark.parametrize(
+    ("number", "processes"),
+    [(1, 1), (FEWEST_OF_A_CHILD - 1, 1), (2 * FEWEST_OF_A_CHILD, 2), (3 * FEWEST_OF_A_CHILD, 3), (1000, 3)],
+)
+def test_a_batch_is_divided_among_as_many_children_as_pay(tmp_path: Path, number: int, processes: int) -> None:
+    system, campaign = load_system("test-function").spec, config("test-function")
+    rollouts = Recorded(ChildSystem(system.name, system, 60.0, 60.0), campaign, 0, tmp_path, seed=1, workers=3)
+    counted: list[int] = []
+    rollouts.report = counted.append
+    batch = rollouts.simulate([StartRollout(test, (0.0, 0.0), 0) for test in range(number)])
+    assert len(batch.parts) == processes
+    assert sorted(request.test for _, requests in batch.parts for request in requests) == list(range(number))
+    assert len({request.seed for _, requests in batch.parts for request in requests}) == number
+    assert all(folder.is_dir() for folder, _ in batch.parts)
+    assert counted == [number]
+
+
+@pytest.mark.parametrize(("high", "tighter"), [(0.4, True), (0.5, False), (0.6, False)])
+def test_another_method_is_proposed_only_if_the_worse_end_of_its_range_is_better(high: float, tighter: bool) -> None:
+    assert Instead("robustness", 100, 0.5, Guess(0.3, 0.2, high), -1).is_tighter is tighter
