@@ -1,5 +1,7 @@
 """The commands of the tutorial, as they are typed, one after the other; its campaigns are shortened."""
 
+import contextlib
+import json
 import os
 import re
 import shutil
@@ -7,7 +9,7 @@ import signal
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -91,6 +93,25 @@ def test_every_command_runs_as_typed(folder: Processes) -> None:
         ended = typed(of_make(command) if command.startswith("make") else command, folder.folder)
         assert ended.code == 0, f"{command}: {ended.err}"
         assert output == "..." or output in ended.out, command
+    _results_page_reads(folder.folder)
+
+
+def _results_page_reads(place: Path) -> None:
+    """The code of the results page, with what the tutorial has written: a trajectory, tables, and a signature."""
+    read, tables, signature = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "results.md").read_text(), re.DOTALL)
+    # The tables are for pandas, which no test needs: their columns exist.
+    names = ("tests", "rollouts")
+    headers = [(place / f"runs/segway/export/{each}.csv").read_text().partition("\n")[0] for each in names]
+    named = set(re.findall(r'"([a-z]+(?: \([a-z]+\))?)"', tables)) - {"round_trip", "true_risk"}
+    assert named <= set(",".join(headers).split(",")), named
+    found: dict[str, Any] = {}
+    with contextlib.chdir(place):
+        exec(read, found)
+        assert len(found["phi"]) > 2
+    shutil.copy(place / "home/.config/perfbound/keys/alice.pub", place / "runs/segway")
+    with contextlib.chdir(place / "runs/segway"):
+        exec(signature, found)
+        assert found["certificate"] == json.loads(Path("certificate.json").read_text())
 
 
 def of_make(command: str) -> str:

@@ -16,6 +16,8 @@ import click
 import pytest
 
 from perfbound.orchestrator.cli.group import cli
+from perfbound.schemas.file.reader import parse_campaign
+from perfbound.schemas.file.toml_text import toml_file
 from perfbound.workers.cli import serve
 
 ROOT = Path(__file__).parents[3]
@@ -98,6 +100,20 @@ def test_the_function_of_the_docs_is_the_shipped_example() -> None:
     page, example = (ROOT / "docs/own-system.md").read_text(), ROOT / "deploy/examples/cars"
     for name, kind in (("cars.py", "python"), ("cars.toml", "toml")):
         assert f"```{kind}\n{(example / name).read_text()}```" in page, name
+
+
+@pytest.mark.parametrize("page", ["own-system", "stl", "constants"])
+def test_parts_of_campaign_files_are_allowed(page: str) -> None:
+    """Each part is read with a system that has its parameters and columns."""
+    base: dict[str, Any] = {"system": {"name": "s"}, "clip": [-1, 1], "horizon": 15, "max_tests": 59}
+    base |= {"claims": [{"quantity": "mean"}], "space": {"z": [0, 1]}, "specification": "always (z >= 0)"}
+    parts = re.findall(r"```toml\n(.*?)```", (ROOT / f"docs/{page}.md").read_text(), re.DOTALL)
+    for part in parts:
+        # The page of formulas lists several.
+        for each in part.splitlines() if part.count("specification =") > 1 else [part]:
+            given = tomllib.loads(each)
+            file = given if "prior_mean" in given else base | given
+            assert parse_campaign(toml_file(file).encode(), "part.toml").specification, each
 
 
 def test_the_system_of_the_docs_keeps_the_contract() -> None:
