@@ -98,7 +98,7 @@ def campaign_verdict(
         verdict=found.word,
         campaign=config.name,
         seed=config.seed,
-        claim=guarantee(stated, unit, config.risk_weight),
+        claim=claim_in_plain_words(stated, unit, config.risk_weight),
         reasons=found.reasons,
         advice=found.advice,
         bound=claim.bound,
@@ -120,12 +120,13 @@ UNDER_REFUTED = "Not proven, an assumption is refuted"
 """In place of the claim's own first words."""
 
 
-def guarantee(claim: CertificateClaim, unit: str, risk_weight: float) -> str:
-    """Return the first claim in plain words, as a margin where it is one; what is refuted is not called guaranteed.
+def claim_in_plain_words(claim: CertificateClaim, unit: str, risk_weight: float) -> str:
+    """Return the first claim in plain words, as a margin where it is one.
 
-    >>> guarantee(CertificateClaim(quantity="robustness", sense=">=", bound=0.58125, probability=0.95, rule="single",
-    ...                            method="rigorous", assumptions=(), refuted=()), "rad", 0.2)
-    'Guaranteed margin 0.5812 rad (robustness) from every start, with probability at least 0.9500'
+    >>> claim = CertificateClaim(quantity="robustness", sense=">=", bound=0.58125, probability=0.95, rule="single",
+    ...                          method="rigorous", assumptions=(), refuted=())
+    >>> claim_in_plain_words(claim, "rad", 0.2)
+    'Margin at least 0.5812 rad (robustness) from every start, with probability at least 0.9500'
     """
     bound, chance = outward(claim.bound, claim.sense), chance_words(claim)
     meaning = WORST.get(claim.quantity)
@@ -136,9 +137,7 @@ def guarantee(claim: CertificateClaim, unit: str, risk_weight: float) -> str:
     of = {"every": ", of every requirement"}.get(claim.rule, f", of {claim.requirement}" if claim.requirement else "")
     ends = "" if claim.clipped is None else f", {clip_words(claim.clipped)}"
     margin = f"{margin_text(bound, claim, unit)} ({meaning.format(risk_weight)}{of}{ends})"
-    head = "Guaranteed margin" if claim.bound > 0 else "Margin at least"
-    if claim.refuted:
-        head = f"{UNDER_REFUTED}: margin at least"
+    head = f"{UNDER_REFUTED}: margin at least" if claim.refuted else "Margin at least"
     return f"{head} {margin} from {where}, {chance}"
 
 

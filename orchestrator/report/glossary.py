@@ -3,7 +3,7 @@
 import json
 from functools import cache
 
-from ...schemas.errors import PerfboundError
+from ...schemas.errors import PerfboundError, meant
 from .html import ASSETS, GLOSSARY
 
 
@@ -24,7 +24,7 @@ def entries_of(word: str) -> list[str]:
     found = [entry for entry, names in named.items() if wanted in names]
     found = found or [entry for entry, names in named.items() if any(wanted in name.split() for name in names)]
     if not found:
-        raise PerfboundError(
-            f"{word}: not in the glossary; choose one of {', '.join(entry.split(',')[0] for entry in named)}"
-        )
+        listed = ", ".join(entry.split(",")[0] for entry in named)
+        near = meant(word, [name for names in named.values() for name in names])
+        raise PerfboundError(f"{word}: not in the glossary; {near}choose one of {listed}")
     return found

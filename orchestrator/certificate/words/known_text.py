@@ -134,11 +134,19 @@ def verdict_lines(found: CampaignVerdict) -> Iterator[str]:
     """Yield the verdict, its reasons, what would help, and how many rollouts violate the specification."""
     yield f"VERDICT  {found.verdict}"
     # The number of a claim that does not answer the question comes after the answer.
-    yield from (f"{found.claim}.", *found.reasons) if found.verdict == "SHOWN" else (*found.reasons, f"{found.claim}.")
+    # Under VIOLATED a bound reads like a pass, and is not the verdict.
+    besides = "The bound that was computed too: " if found.verdict == "VIOLATED" else ""
+    claim = f"{besides}{_uncapitalised(found.claim) if besides else found.claim}."
+    yield from (claim, *found.reasons) if found.verdict == "SHOWN" else (*found.reasons, claim)
     for sentence in found.advice:
-        yield f"What would help: {sentence[0].lower()}{sentence[1:]}"
+        yield f"What would help: {_uncapitalised(sentence)}"
     if count := violation_words(found):
         yield count
+
+
+def _uncapitalised(sentence: str) -> str:
+    """Return a sentence as the end of another one; an abbreviation keeps its capitals."""
+    return sentence if sentence[1:2].isupper() else f"{sentence[0].lower()}{sentence[1:]}"
 
 
 def first_bound(found: CampaignVerdict) -> str:

@@ -77,6 +77,8 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
     """
     if wish.question not in QUESTIONS:
         raise PerfboundError(unknown_question(wish.question))
+    if wish.out is not None:
+        _check_unwritten(wish.out)
     question = QUESTIONS[wish.question]
     known = named_campaign(wish.reference)
     spec = system_spec(wish.reference, "SYSTEM").spread(() if known is None else signal_shapes(known.space))

@@ -49,7 +49,7 @@ def test_the_end_of_a_run_fits_one_screen(good: Ended) -> None:
     assert good.code == 0, good.err
     lines = good.out.splitlines()
     assert lines[0] == "VERDICT  SHOWN"
-    assert lines[1].strip().startswith("Guaranteed margin 0.")
+    assert lines[1].strip().startswith("Margin at least 0.")
     assert len(lines) <= SCREEN
     assert sum(line.startswith("CLAIM  ") for line in lines) == 1
 

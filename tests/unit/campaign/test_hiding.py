@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from perfbound.orchestrator.campaign.clip import hiding, reach_of
-from perfbound.orchestrator.certificate.verdict import guarantee
+from perfbound.orchestrator.certificate.verdict import claim_in_plain_words
 from perfbound.orchestrator.certificate.words.bound_text import clip_words
 from perfbound.orchestrator.certificate.words.text import claim_words, margin_at_most_starts
 from perfbound.orchestrator.mathematics.stl.reach import ANY
@@ -59,7 +59,7 @@ def worded(clip: tuple[float, float] | None, reading: Reading, bound: float) -> 
             quantity=name, sense=">=", bound=bound, probability=0.95, rule="single", method="kriging",
             assumptions=("kernel/robustness",), refuted=(), clipped=clip, subject=subject,
         )  # fmt: skip
-        yield from (claim_words(claim), claim_sentence(claim), guarantee(claim, "m", WEIGHT))
+        yield from (claim_words(claim), claim_sentence(claim), claim_in_plain_words(claim, "m", WEIGHT))
         yield from (claim_words(each) for each in [claim.model_copy(update={"starts": 3})] if subject is None)
     if reading != "risk":
         most = "robustness" if reading == "each" else "expected_robustness"

@@ -50,7 +50,7 @@ def test_a_bound_beyond_what_is_required_is_shown(tmp_path: Path) -> None:
     assert least == "Required at least 0."
     assert says(at_worst, "probability assumptions most 0.")
     assert "assumptions hold" in found.claim
-    assert found.claim.startswith(f"Guaranteed margin {found.bound:.1f}")
+    assert found.claim.startswith(f"Margin at least {found.bound:.1f}")
     assert found.violations.violations == 0
     assert found.repeat == ""
 

@@ -78,7 +78,7 @@ def test_pages_quote_one_run_of_the_segway() -> None:
     """All of them quote `runs/segway`; its numbers follow from the seed in the campaign file."""
     pages = {name: (ROOT / name).read_text() for name in NAMES}
     quoted = [
-        r"Guaranteed margin ([\d.]+) rad",
+        r"Margin at least ([\d.]+) rad",
         r"(\d of [\d,]+ rollouts violate the specification; the worst [\d.]+ rad)",
         r"replay runs/segway (true_risk\S+)",
         r"runs/segway +SHOWN +>= ([\d.]+) rad",
