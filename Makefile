@@ -110,7 +110,7 @@ doctests: $(INSTALLED)-dev ## Examples in docstrings
 # A file's tests share what is costly to make, so they run in one process. Most tests with processes of their own wait a
 # part of their time: three at once keep two cores busy.
 AT_ONCE ?= 3
-PYTEST = $(BIN)/python -m pytest -n $(AT_ONCE) --dist loadfile --durations=10
+PYTEST = $(BIN)/python -m pytest -n $(AT_ONCE) --dist loadfile --no-loadscope-reorder --durations=10
 READY := $(INSTALLED)-dev build/node/.installed build/backend/.installed
 unit: $(READY) ## The tests of `make test`, without lint and types
 	$(PYTEST) -m "not rest and not slow" tests

@@ -129,7 +129,7 @@ def changed(old: str, new: str) -> str:
         ('gains = "paper"', "gains = 12:00:00", "system.gains", "a date or time, which no key takes"),
         ("seed = 1", "seed = 9007199254740992", "seed", "a whole number >= 0 and < 9007199254740992"),
         ("clip = [-0.05, 0.75]", "clip = [0.75, -0.05]", "clip", "low < high"),
-        ("resolution = 21", "resolution = 1000", f"{NOMINAL}.resolution", "more than the 100000 allowed"),
+        ("resolution = 21", "resolution = 1000", f"{NOMINAL}.resolution", "more than the 100,000 allowed"),
         ('name = "segway-paper"', 'name = "../../etc/passwd"', "name", "1 to 64 of a-z, 0-9, '-' and '_'"),
         ('name = "segway-paper"', 'name = "-rf"', "name", "the first a letter or digit"),
         ('name = "segway-paper"', 'name = "a\\nb"', "name", r"'a\nb' is not allowed"),

@@ -200,7 +200,7 @@ class TestTwoSystems:
         ({"kernel": {"nu": 45, "length_scale": 1.0}}, {}, "kernel.nu: 45 must be at most 40"),
         ({"points": 10}, {"resolution": 30}, "points"),
         ({"points": 5}, {"resolution": 4}, "problems.robustness.points: 5 more 4"),
-        ({}, {"resolution": 101}, "resolution: 10201 more 10000"),
+        ({}, {"resolution": 101}, "resolution: 10,201 more 10,000"),
         ({}, {"space": {"scenarios": [[0.1, 0.1]]}}, "'kriging' needs a box"),
         ({}, {"falsify": {}}, "falsify: 'kriging'"),
         ({}, {"where": "z1 <= z2"}, "space.where: 'kriging'"),

@@ -374,7 +374,7 @@ d = [0, 1]
         ),
         (
             HEAD.replace("METHOD", RIGOROUS + "resolution = 60") + "x = [0, 1]\ny = [0, 1]\nz = [0, 1]",
-            "resolution: 216000 more 100000",
+            "resolution: 216,000 more 100,000",
         ),
     ],
 )

@@ -158,7 +158,7 @@ def test_an_edited_certificate_without_a_value_of_its_clip_is_shown(tmp_path: Pa
     (directory / files.CERTIFICATE).write_text(json.dumps(value))
     found = files.read(directory)
     assert found is not None
-    assert any("1 of ? values are at the lower clip ?" in note for note in text.notes(found.predicate, 0))
+    assert any(says(note, "1 of ? values lower clip ?") for note in text.notes(found.predicate, 0))
 
 
 def test_verifying_changes_nothing(campaign: Path) -> None:
