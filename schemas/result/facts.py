@@ -47,7 +47,7 @@ def check_rules(rules: int, software: Mapping[str, object], place: str) -> int:
 class Header:
     """The first fact: the campaign, its system and its software.
 
-    By rules 1 the digests are those of the texts as they were written, by later rules those of the parsed values.
+    The digests are those of the parsed values, not of the texts.
     """
 
     run: str
