@@ -12,6 +12,7 @@ from perfbound.orchestrator.certificate.verify.checks import ABSENT
 from perfbound.schemas.file.reader import load_campaign
 from perfbound.schemas.result.certificate import Certificate
 from tests.end_to_end.processes import Ended, Processes, processes, recorded, wait_for
+from tests.facts import says
 
 EXAMPLE = Path(__file__).parents[3] / "deploy" / "examples" / "pendulum"
 CHECKS = "spot_check = 6\nspot_check_followups = 4\nrecheck = 3\n"
@@ -211,7 +212,7 @@ def test_a_campaign_file_of_a_program_leads_to_another_one(started: Processes, f
     second = folder / "second.toml"
     written = started.run(*init, "--out", second)
     assert (written.code, written.err) == (0, "")
-    assert "the constants are proposed from 40 rollouts at 20 starts" in written.out
+    assert says(written.out, "200 rollouts constants second.toml: constants proposed from 200 rollouts")
     first, other = (load_campaign(file) for file in (folder / "pendulum.toml", second))
     assert other.system == first.system
     assert (other.space, other.horizon) == (first.space, first.horizon)
