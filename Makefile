@@ -58,7 +58,7 @@ run: setup ## Run the Segway campaign with two local workers (CAMPAIGN=..., WORK
 	@if test -e $(RUN_DIR)/campaign.db; then $(BIN)/perfbound resume $(RUN_DIR) --workers $(WORKERS); \
 	else $(BIN)/perfbound run $(CAMPAIGN) --workers $(WORKERS) --out $(RUN_DIR); fi
 
-test: announce checks unit ## Lint, types, imports, unit and contract tests, one journey of each capability: 11 minutes
+test: announce checks unit ## Lint, types, imports, unit and contract tests, one journey of each capability: 10 minutes
 
 test-all: announce checks mujoco $(INSTALLED)-docs docs every-test other-pythons ## Everything: kills, browsers, wheel, Slurm, site, fuzz, studies in short, other Pythons
 
@@ -73,7 +73,7 @@ smoke: $(INSTALLED)-dev ## Two minutes: real workers, kills, the contract of the
 	$(BIN)/python -m pytest -q -m smoke
 
 announce:
-	@echo "\`make test\` takes about 11 minutes on two quiet cores, after the installation, and \`make test-all\` an hour."
+	@echo "\`make test\` takes about 10 minutes on two quiet cores, after the installation, and \`make test-all\` an hour."
 
 # Side by side: each of them takes one core.
 checks: $(INSTALLED)-dev
