@@ -10,6 +10,8 @@ PYTHON ?= $(firstword $(wildcard $(BIN)/python) $(shell $(FITTING)) python3)
 VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
 LOCK := locks/$(VERSION)
 INSTALLED := $(VENV)/.installed-$(VERSION)
+# What the tests need.
+READY := $(INSTALLED)-dev build/node/.installed build/backend/.installed
 CAMPAIGN ?= deploy/campaigns/segway.toml
 WORKERS ?= 2
 RUN_DIR = runs/$(basename $(notdir $(CAMPAIGN)))
@@ -47,7 +49,7 @@ $(INSTALLED)-%: $(INSTALLED) ;
 
 setup: $(INSTALLED) ## Make the virtual environment with the locked versions (PYTHON=python3.12)
 
-dev: $(INSTALLED)-dev build/node/.installed build/backend/.installed ## The same, and what the tests need
+dev: $(READY) ## The same, and what the tests need
 
 mujoco: $(INSTALLED)-mujoco ## Add MuJoCo to it, for deploy/examples/cartpole
 
@@ -111,7 +113,6 @@ doctests: $(INSTALLED)-dev ## Examples in docstrings
 # part of their time: three at once keep two cores busy.
 AT_ONCE ?= 3
 PYTEST = $(BIN)/python -m pytest -n $(AT_ONCE) --dist loadfile --no-loadscope-reorder --durations=10
-READY := $(INSTALLED)-dev build/node/.installed build/backend/.installed
 unit: $(READY) ## The tests of `make test`, without lint and types
 	$(PYTEST) -m "not rest and not slow" tests
 

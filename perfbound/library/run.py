@@ -282,7 +282,7 @@ def run_campaign(
 def _of_this(directory: Path) -> str:
     """Return what to do with a campaign that was started before."""
     name = repr(str(directory))
-    if files.read(directory) is not None:
+    if Run(directory).finished:
         return f"read it with perfbound.open({name}), or choose another `out` to run it again"
     return f"continue it with perfbound.resume({name})"
 

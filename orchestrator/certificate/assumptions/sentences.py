@@ -141,7 +141,7 @@ SENTENCES: dict[str, dict[Status, str]] = {
     },
     "deterministic_nominal": {
         "refuted": "the replicates of a test share one nominal rollout, because the system declares that variant "
-        "deterministic, but in nominal_robustness the values at {differing} of {repeated} repeated places differ.",
+        "deterministic, but in nominal_robustness the values at {differing} of {repeated} repeated starts differ.",
         "not refuted": "the replicates of a test share one nominal rollout, because the system declares that variant "
         "deterministic; in nominal_robustness the values at all {repeated} repeated starts agree bit by bit.",
         "assumed": "the replicates of a test share one nominal rollout, because the system declares that variant "

@@ -14,6 +14,7 @@ from ...forecast.needed_tests import FOR_A_FORECAST, FURTHEST, NeededTests, need
 
 Progress = Callable[[], Sequence[ProblemProgress]]
 MORE = "More tests: a larger `max_tests` in a new campaign."
+NEW_CONSTANTS = "New constants in a new campaign, from other rollouts"
 CALIBRATE = "`perfbound calibrate` proposes constants from rollouts, and says which budget they need."
 ENDED_EARLY = (
     "A new campaign without `falsify` and `until_counterexample`: a counterexample ended this one before all its tests "
@@ -178,7 +179,7 @@ def _other_constants(config: CampaignConfig, problem: Problem) -> str:
     if times < LARGE_NORM:
         return ""
     return (
-        f"New constants in a new campaign, from other rollouts: `rkhs_norm` = {problem.rkhs_norm:g} is {times:.0f} "
+        f"{NEW_CONSTANTS}: `rkhs_norm` = {problem.rkhs_norm:g} is {times:.0f} "
         f"times the width of the clip, which more tests would first have to undo. {CALIBRATE}"
     )
 
@@ -186,7 +187,7 @@ def _other_constants(config: CampaignConfig, problem: Problem) -> str:
 def _forecast_words(short: ShortBound, found: ProblemProgress, needed: NeededTests | None) -> str:
     if needed is None or needed.low is None:
         return (
-            f"New constants in a new campaign, from other rollouts: by its course so far, {FURTHEST} times as many "
+            f"{NEW_CONSTANTS}: by its course so far, {FURTHEST} times as many "
             f"tests would not bring the bound to what is required. {CALIBRATE}"
         )
     if needed.probable is None or needed.high is None:

@@ -77,7 +77,7 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
     """
     if wish.question not in QUESTIONS:
         raise PerfboundError(unknown_question(wish.question))
-    if wish.out is not None:
+    if wish.out is not None:  # first: to load a system may take seconds
         _check_unwritten(wish.out)
     question = QUESTIONS[wish.question]
     known = named_campaign(wish.reference)
@@ -85,8 +85,7 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
     if wish.specification is None and known is not None and known.specification:
         wish = replace(wish, specification=known.specification)
     folder = Path(wish.reference).parent if known else Path()
-    out = wish.out or folder / f"{spec.name}.toml"
-    _check_unwritten(out)
+    out = wish.out or _check_unwritten(folder / f"{spec.name}.toml")
     variants, choice = _variants(spec, wish.question), _system_choice(wish.reference, out)
     horizon = chosen_horizon(spec, wish.horizon)
     score = values.score(wish.specification, spec)
@@ -145,11 +144,12 @@ def _next_steps(wish: Wish, campaign: FirstCampaign, out: Path, *, failed: bool)
     yield f"{edit}Check the system: perfbound check-system {file}. Then: perfbound run {file}"
 
 
-def _check_unwritten(out: Path) -> None:
+def _check_unwritten(out: Path) -> Path:
     if out.exists():
         raise _exists(out)
     if not out.absolute().parent.is_dir():
         raise PerfboundError(f"{out}: there is no such folder; make it, or choose another --out")
+    return out
 
 
 def _exists(out: Path) -> PerfboundError:

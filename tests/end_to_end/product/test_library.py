@@ -118,18 +118,21 @@ def test_an_interrupted_run_continues_in_the_same_session(started: Processes, tm
         "    print(stopped, signal.getsignal(signal.SIGINT) is signal.default_int_handler)\n"
         "try:\n    campaign.run('run')\n"
         "except Exception as error:\n    print(error)\n"
-        "print(pb.resume('run', system=typed))\n",
+        "print(pb.resume('run', system=typed))\n"
+        "try:\n    campaign.run('run')\n"
+        "except Exception as error:\n    print(error)\n",
     )
     wait_for(lambda: recorded(tmp_path / "run") >= 10)
     process.signal_group(signal.SIGINT)
     ended = process.wait()
     assert ended.code == 0, ended.err
-    stopped, refused, *claim = ended.out.splitlines()
+    stopped, refused, *claim, finished = ended.out.splitlines()
     assert stopped == f"stopped; perfbound.resume('{tmp_path / 'run'}') continues True"
     run = tmp_path / "run"
     assert refused == f"{run}: this campaign is here already; continue it with perfbound.resume('{run}')"
     assert claim[0].startswith("VERDICT")
     assert claim[1].startswith("CLAIM")
+    assert f"read it with perfbound.open('{run}')" in finished, "there is nothing to continue"
     assert certificate(tmp_path / "run") == calm
 
 

@@ -46,7 +46,7 @@ def test_a_word_finds_its_entries(word: str, entries: list[str]) -> None:
 
 
 def test_an_unknown_word_names_all() -> None:
-    with pytest.raises(PerfboundError, match=facts("^rubustness: rollout margin")):
+    with pytest.raises(PerfboundError, match=facts("^rubustness: 'robustness' rollout margin")):
         entries_of("rubustness")
 
 

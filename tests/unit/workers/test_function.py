@@ -176,6 +176,8 @@ def test_short_seeds_are_part_of_the_spec_and_of_its_digest() -> None:
         (lambda x, *, seed: x, {"noisy": ["true"]}, "'true' only nominal"),
         (lambda x: x, {"step": 0.0}, "step: 0.0 positive"),
         (lambda x: x, {"columns": {"Distance": "m"}}, "'Distance': a-z 0-9 _"),
+        (lambda x: x, {"columns": ["y"]}, "columns 'height': 'm'"),
+        (lambda x: x, {"parameters": {"x": (0.0, 1.0)}}, "x: (0.0, 1.0) pb.Parameter(low, high)"),
     ],
 )
 def test_a_signature_that_does_not_fit_is_refused(

@@ -16,7 +16,7 @@ something else than J* and no tolerance could end the campaign. The budget ends 
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -69,30 +69,26 @@ class KrigingMethod(Method):
     ) -> None:
         if not (math.isfinite(spread) and spread > 0):
             raise ValueError(f"spread must be a positive finite number, not {spread!r}")
-        radial = Radial(kernel)
+        self._radial, self._spread = Radial(kernel), spread
         self.lattice, self.design = lattice, plan_design(lattice, budget.tests, budget.points)
         low, high = premises.ends
         # From here on everything is about X: J is maximised, so its mirror is bounded from below.
         self._premises = KrigingPremises(premises.rkhs_norm, -premises.prior_mean, (-high, -low), premises.delta)
-        points = lattice.nodes[list(self.design.nodes)]
-        self._to_nodes, inner = between(radial, lattice.nodes, points), between(radial, points, points)
-        self._counts = counts = np.array(self.design.counts, dtype=np.float64) * budget.replicates
-        terms = _weight_terms(self._premises, spread)
-        self._open: Callable[[], KrigingBounds] = lambda: KrigingBounds(
-            plan_weights(self._to_nodes, inner, counts, terms),
-            inner,
-            NodeCells(lattice, radial, points),
-            self._premises,
-            error=radial.error,
-        )
-        self._means = PointMeans(inner, self._premises, spread)
-        self._audit = NormAudit(self._means, counts, self._premises, spread)
+        self._points = lattice.nodes[list(self.design.nodes)]
+        self._to_nodes = between(self._radial, lattice.nodes, self._points)
+        self._inner = between(self._radial, self._points, self._points)
+        self._counts = np.array(self.design.counts, dtype=np.float64) * budget.replicates
+        self._means = PointMeans(self._inner, self._premises, spread)
+        self._audit = NormAudit(self._means, self._counts, self._premises, spread)
         self._tests, self.beyond_ball, self._upper = 0, False, -self._premises.without_data
 
     @cached_property
     def _bounds(self) -> KrigingBounds:
         # The plan of the weights takes a second, and no proposal waits for it: the workers have their tests by then.
-        return self._open()
+        terms = _weight_terms(self._premises, self._spread)
+        planned = plan_weights(self._to_nodes, self._inner, self._counts, terms)
+        cells = NodeCells(self.lattice, self._radial, self._points)
+        return KrigingBounds(planned, self._inner, cells, self._premises, error=self._radial.error)
 
     @property
     def size(self) -> int:

@@ -59,6 +59,8 @@ def test_a_pilot_that_hangs_names_the_rollout_and_the_place(folder: Path) -> Non
     lines = list(write_first_campaign(Wish("own.py:hangs", "worst", "y >= 0.5", None, None)))
     reason = "x = 1, seed 2: the rollout gave no result within 0.5 s, and was ended in own.py, line "
     assert says(lines[1], f"^hangs.toml: failed: {reason}")
+    assert says(lines[-1], "perfbound check-system hangs.toml")
+    assert "perfbound run" not in lines[-1], "not before it is fixed"
     text = " ".join((folder / "hangs.toml").read_text().replace("\n# ", " ").split())
     assert f"GUESSED, because the pilot failed: {reason}" in text
     assert "do not follow from this formula, because the pilot failed." in text
@@ -84,7 +86,10 @@ def test_guesses_are_about_the_formula_that_the_file_has(tmp_path: Path, monkeyp
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(init, "FEWEST_ROLLOUTS", 10**9)
     lines = list(write_first_campaign(Wish("own.py:one", "worst", None, None, None)))
-    assert "the constants are guessed, because" in "".join(lines)
+    assert "the constants are guessed, because" in lines[-3]
+    # The constants fit the formula of the pilot, and no other one.
+    assert says(lines[-2], "formula own.py:one --question worst --specification --out")
+    assert says(lines[-1], "^Check perfbound check-system one.toml perfbound run one.toml")
     (problem,) = parse_campaign((tmp_path / "one.toml").read_bytes(), "c").problems
     assert isinstance(problem, RigorousProblem)
     assert -1.5 < problem.prior_mean < 0.0, "minus the robustness, which is at most 1.1"
