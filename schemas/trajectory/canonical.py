@@ -1,8 +1,8 @@
-"""The canonical form of a trajectory's file: one file for a rollout, byte by byte, but for its visual part.
+"""The canonical form of a file of trajectories: one file for a rollout or a batch, byte by byte, but for a visual part.
 
 Layout, every record as MCAP has it (opcode, 8 bytes of length, content):
 
-    magic, header, metadata, request, samples    the evidence: exactly these bytes
+    magic, header, metadata, attachments         the evidence: exactly these bytes
     schemas, channels, chunks, message indexes   the visual part: where the request asks for one, of any content
     end of the data
     summary, footer, magic                       without a visual part exactly these bytes, else with the same indexes
@@ -13,7 +13,8 @@ The form is the same whatever campaign the rollout belongs to.
 
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache
 
@@ -32,8 +33,24 @@ class Opcode(IntEnum):
 MAGIC = b"\x89MCAP0\r\n"
 LIBRARY = "perfbound"
 EVIDENCE, REQUEST, RECORD = "trajectory.npy", "request.json", "rollout"
-MEDIA_TYPES = {REQUEST: "application/json", EVIDENCE: "application/x-npy"}
-"""In the order of the file."""
+TIME, FAILURES = "time.npy", "failures.json"
+JSON, NPY = "application/json", "application/x-npy"
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """What the evidence of a file consists of."""
+
+    record: str
+    """The name of its metadata record."""
+    media_types: tuple[tuple[str, str], ...]
+    """The name of each attachment and its type, in the order of the file."""
+    optional: str | None = None
+    """The one attachment that a file may lack."""
+
+
+OF_ROLLOUT = Layout(RECORD, ((REQUEST, JSON), (EVIDENCE, NPY)))
+OF_BATCH = Layout("batch", ((REQUEST, JSON), (TIME, NPY), (EVIDENCE, NPY), (FAILURES, JSON)), optional=FAILURES)
 
 _RECORD = struct.Struct("<BQ")  # opcode, length of the content
 _LENGTH, _SIZE = struct.Struct("<I"), struct.Struct("<Q")
@@ -48,7 +65,37 @@ Evidence = tuple[dict[str, str], dict[str, bytes]]
 """The metadata, and the attachments by name."""
 
 
-def canonical_evidence(data: bytes, *, visual: bool) -> Evidence:
+def evidence_of(
+    layout: Layout, metadata: Mapping[str, str], attachments: Mapping[str, bytes]
+) -> tuple[list[bytes], tuple[bytes, ...]]:
+    """Return the parts of a file with this evidence, up to the end of its data, and what its summary lists of them."""
+    pairs = b"".join(_packed_text(key) + _packed_text(value) for key, value in sorted(metadata.items()))
+    record = _packed(Opcode.METADATA, _packed_text(layout.record) + _LENGTH.pack(len(pairs)) + pairs)
+    parts, indexes, at = [_HEAD, record], list[bytes](), len(_HEAD) + len(record)
+    for name, media_type in layout.media_types:
+        if name not in attachments:
+            continue
+        content = attachments[name]
+        head = _attachment_head(name, media_type, len(content))
+        crc = zlib.crc32(content, zlib.crc32(memoryview(head)[_RECORD.size :]))
+        parts += [head, content, _LENGTH.pack(crc)]
+        length = len(head) + len(content) + _LENGTH.size
+        indexes.append(_attachment_index(name, media_type, at, length, len(content)))
+        at += length
+    return parts, (*indexes, _metadata_index(layout, len(record)))
+
+
+def canonical_file(layout: Layout, metadata: Mapping[str, str], attachments: Mapping[str, bytes]) -> bytes:
+    """Return the one file with this evidence and no visual part."""
+    parts, indexes = evidence_of(layout, metadata, attachments)
+    crc = 0
+    for part in parts:
+        crc = zlib.crc32(part, crc)
+    summary = sum(map(len, parts)) + _DATA_END.size
+    return b"".join([*parts, _DATA_END.pack(Opcode.DATA_END, 4, crc), _plain_end(summary, indexes)])
+
+
+def canonical_evidence(data: bytes, layout: Layout, *, visual: bool) -> Evidence:
     """Return the metadata and the attachments of a canonical file whose checksums are right; `visual`: it may be seen.
 
     Raises:
@@ -59,28 +106,47 @@ def canonical_evidence(data: bytes, *, visual: bool) -> Evidence:
     # A strict reader of this one layout costs less than that of mcap, and needs no second encoding to compare with.
     if not data.startswith(_HEAD):
         raise TrajectoryError("it is not written as perfbound writes it: its head is another one")
-    metadata, after = _read_metadata(data, len(_HEAD))
-    place = struct.pack("<QQ", len(_HEAD), after - len(_HEAD))
-    listed = _packed(Opcode.METADATA_INDEX, place + _packed_text(RECORD))
+    metadata, after = _read_metadata(data, len(_HEAD), layout.record)
+    listed = _metadata_index(layout, after - len(_HEAD))
     attachments: dict[str, bytes] = {}
     indexes = []
-    for name, media_type in MEDIA_TYPES.items():
+    for name, media_type in layout.media_types:
         start = after
-        attachments[name], after = _attachment(data, start, name, media_type)
-        place = struct.pack("<QQQQQ", start, after - start, 0, 0, len(attachments[name]))
-        indexes.append(_packed(Opcode.ATTACHMENT_INDEX, place + _packed_text(name) + _packed_text(media_type)))
+        found = _attachment(data, start, name, media_type)
+        if found is None:
+            if name == layout.optional:
+                continue
+            names = [each for each, _ in layout.media_types if each != layout.optional]
+            raise TrajectoryError(f"its attachments are not {' and '.join(names)}, as perfbound writes them")
+        attachments[name], after = found
+        indexes.append(_attachment_index(name, media_type, start, after - start, len(attachments[name])))
     _check_rest(data, after, [*indexes, listed], visual=visual)
     return metadata, attachments
 
 
-def _read_metadata(data: bytes, start: int) -> tuple[dict[str, str], int]:
+def _metadata_index(layout: Layout, length: int) -> bytes:
+    return _packed(Opcode.METADATA_INDEX, struct.pack("<QQ", len(_HEAD), length) + _packed_text(layout.record))
+
+
+def _attachment_index(name: str, media_type: str, start: int, length: int, size: int) -> bytes:
+    place = struct.pack("<QQQQQ", start, length, 0, 0, size)
+    return _packed(Opcode.ATTACHMENT_INDEX, place + _packed_text(name) + _packed_text(media_type))
+
+
+def _attachment_head(name: str, media_type: str, size: int) -> bytes:
+    """Return the bytes of an attachment's record before its content of `size` bytes."""
+    head = bytes(16) + _packed_text(name) + _packed_text(media_type) + _SIZE.pack(size)  # no times
+    return _RECORD.pack(Opcode.ATTACHMENT, len(head) + size + _LENGTH.size) + head
+
+
+def _read_metadata(data: bytes, start: int, record: str) -> tuple[dict[str, str], int]:
     """Return the metadata record that begins at `start`, and its end; the keys are sorted."""
     opcode, length = _RECORD.unpack_from(data, start)
     end, at = start + _RECORD.size + length, start + _RECORD.size
     name, at = _read_text(data, at)
     (size,) = _LENGTH.unpack_from(data, at)
     at += _LENGTH.size
-    if opcode != Opcode.METADATA or name != RECORD or at + size != end:
+    if opcode != Opcode.METADATA or name != record or at + size != end:
         raise TrajectoryError("its metadata are not written as perfbound writes them")
     found: list[tuple[str, str]] = []
     while at < end:
@@ -94,18 +160,17 @@ def _read_metadata(data: bytes, start: int) -> tuple[dict[str, str], int]:
     return dict(found), end
 
 
-def _attachment(data: bytes, start: int, name: str, media_type: str) -> tuple[bytes, int]:
-    """Return the attachment that begins at `start`, and the end of its record."""
-    head = bytes(16) + _packed_text(name) + _packed_text(media_type)  # no times
-    at = start + _RECORD.size
-    (size,) = _SIZE.unpack_from(data, at + len(head))
-    content = at + len(head) + _SIZE.size
+def _attachment(data: bytes, start: int, name: str, media_type: str) -> tuple[bytes, int] | None:
+    """Return the attachment that begins at `start`, and the end of its record; None if another record begins there."""
+    before = len(_attachment_head(name, media_type, 0)) - _SIZE.size
+    (size,) = _SIZE.unpack_from(data, start + before)
+    content = start + before + _SIZE.size
     end = content + size + _LENGTH.size
-    expected = _RECORD.pack(Opcode.ATTACHMENT, end - at) + head
-    if data[start : start + len(expected)] != expected or end > len(data):
-        raise TrajectoryError(f"its attachments are not {' and '.join(MEDIA_TYPES)}, as perfbound writes them")
+    if data[start:content] != _attachment_head(name, media_type, size) or end > len(data):
+        return None
     found = data[content : content + size]
-    if _LENGTH.unpack_from(data, content + size)[0] != zlib.crc32(memoryview(data)[at : content + size]):
+    checked = memoryview(data)[start + _RECORD.size : content + size]
+    if _LENGTH.unpack_from(data, content + size)[0] != zlib.crc32(checked):
         raise TrajectoryError(f"the checksum of {name} is wrong")
     return found, end
 
@@ -146,8 +211,8 @@ def _framed(data: bytes, start: int, end: int) -> Iterator[tuple[int, bytes]]:
 def _plain_end(summary: int, indexes: tuple[bytes, ...]) -> bytes:
     """Return everything after the data of a file without a visual part."""
     # messages, schemas, channels, attachments, metadata, chunks, first and last time, messages by channel
-    statistics = _packed(Opcode.STATISTICS, struct.pack("<QHIIIIQQI", 0, 0, 0, len(MEDIA_TYPES), 1, 0, 0, 0, 0))
     *attachments, metadata = indexes
+    statistics = _packed(Opcode.STATISTICS, struct.pack("<QHIIIIQQI", 0, 0, 0, len(attachments), 1, 0, 0, 0, 0))
     groups = {
         Opcode.SCHEMA: b"",
         Opcode.CHANNEL: b"",

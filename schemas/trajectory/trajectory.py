@@ -16,11 +16,10 @@ import copy
 import io
 import itertools
 import json
-import re
 import struct
 import threading
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -40,8 +39,20 @@ from ..errors import TrajectoryError, UnusableTrajectoryError
 from ..instants import disorder
 from ..real_numbers import real_array
 from . import plots
-from .canonical import EVIDENCE, LIBRARY, MAGIC, MEDIA_TYPES, RECORD, REQUEST, Evidence, canonical_evidence
+from .canonical import (
+    EVIDENCE,
+    LIBRARY,
+    MAGIC,
+    OF_ROLLOUT,
+    RECORD,
+    REQUEST,
+    Evidence,
+    canonical_evidence,
+    canonical_file,
+    evidence_of,
+)
 from .file_checks import check_checksums, check_length, check_sizes
+from .npy import from_npy, to_npy
 from .visual import Floats, Transform, Visual
 
 __all__ = [
@@ -60,7 +71,6 @@ __all__ = [
 FRAME_RATE = 30  # 1/s
 CHUNK_BYTES = 65536
 PLOT_LEVEL = -1  # of zstd: two thirds of the time of its default, and here 7 % smaller
-MAX_NPY_HEADER = 128
 
 _DATA_END = struct.Struct("<BQI")  # opcode, length, crc of everything before
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, of its offsets, crc of the summary
@@ -157,25 +167,22 @@ def encode(
     """
     if missing := set(trajectory.columns) - set(units):
         raise ValueError(f"no unit for {', '.join(sorted(missing))}")
-    out = io.BytesIO()
     visual = trajectory.visual
-    plotted = visual is not None and visual.plots
-    writer = Writer(
-        out,
-        chunk_size=CHUNK_BYTES,
-        use_statistics=not plotted,
-        use_summary_offsets=not plotted,
-        enable_data_crcs=True,
-    )
-    writer.start(profile="", library=LIBRARY)
     record = {**metadata, "columns": json.dumps(trajectory.columns)}
+    attachments = {REQUEST: canonical_json(dict(request)).encode(), EVIDENCE: to_npy(trajectory.samples)}
+    if visual is None:
+        return canonical_file(OF_ROLLOUT, record, attachments)
+    if visual.plots:
+        return _plotted(*evidence_of(OF_ROLLOUT, record, attachments), trajectory, units)
+    out = io.BytesIO()
+    writer = Writer(out, chunk_size=CHUNK_BYTES, enable_data_crcs=True)
+    writer.start(profile="", library=LIBRARY)
     writer.add_metadata(RECORD, dict(sorted(record.items())))
-    writer.add_attachment(0, 0, REQUEST, MEDIA_TYPES[REQUEST], canonical_json(dict(request)).encode())
-    writer.add_attachment(0, 0, EVIDENCE, MEDIA_TYPES[EVIDENCE], _npy(trajectory.samples))
-    if visual is not None and not plotted:
-        _write_visual(writer, trajectory, visual, units)
+    for name, media_type in OF_ROLLOUT.media_types:
+        writer.add_attachment(0, 0, name, media_type, attachments[name])
+    _write_visual(writer, trajectory, visual, units)
     writer.finish()  # type: ignore[no-untyped-call]
-    return _plotted(out.getvalue(), trajectory, units) if plotted else out.getvalue()
+    return out.getvalue()
 
 
 def decode(data: bytes) -> Trajectory:
@@ -195,7 +202,7 @@ def read_canonical(data: bytes, *, visual: bool) -> File:
         TrajectoryError: as `read_mcap`, or the file is written otherwise.
 
     """
-    return _file_of(data, lambda whole: canonical_evidence(whole, visual=visual), canonical=True)
+    return _file_of(data, lambda whole: canonical_evidence(whole, OF_ROLLOUT, visual=visual), canonical=True)
 
 
 def read_mcap(data: bytes) -> File:
@@ -225,7 +232,7 @@ def _file_of(data: bytes, evidence: Callable[[bytes], Evidence], *, canonical: b
         request = json.loads(attachments[REQUEST])
         if not isinstance(request, dict) or canonical_json(request).encode() != attachments[REQUEST]:
             raise TrajectoryError(f"{REQUEST} is not an object, written as perfbound writes it")
-        return File(_usable(tuple(columns), _from_npy(attachments[EVIDENCE])), request, record)
+        return File(_usable(tuple(columns), from_npy(EVIDENCE, attachments[EVIDENCE], 2)), request, record)
     except (McapError, ValueError, KeyError, struct.error, OverflowError, RecursionError, MemoryError) as error:
         raise TrajectoryError(f"not a trajectory file: {type(error).__name__}: {error}") from error
 
@@ -256,38 +263,6 @@ def _check_samples(samples: Floats, columns: tuple[str, ...]) -> None:
         )
     if fault := disorder(samples):
         raise ValueError(fault)
-
-
-def _npy(samples: Floats) -> bytes:
-    out = io.BytesIO()
-    np.lib.format.write_array(out, samples, version=(1, 0), allow_pickle=False)
-    return out.getvalue()
-
-
-def _from_npy(data: bytes) -> Floats:
-    """Return the array (a view of `data`) of an npy file that is written as `_npy` writes it.
-
-    numpy's own reader passes the header to a parser of Python, and allocates whatever shape it claims.
-    """
-    found = _SHAPE.search(data[:MAX_NPY_HEADER])
-    if found is None:
-        raise TrajectoryError(f"{EVIDENCE} is not a matrix of float64 as perfbound writes it")
-    shape = (int(found[1]), int(found[2]))
-    header = _npy_header(*shape)
-    if not data.startswith(header) or len(data) - len(header) != shape[0] * shape[1] * 8:
-        raise TrajectoryError(f"{EVIDENCE} claims the shape {shape} for {len(data)} bytes")
-    return np.frombuffer(data, dtype=np.float64, offset=len(header)).reshape(shape)
-
-
-_SHAPE = re.compile(rb"'shape': \((\d{1,9}), (\d{1,5})\)")
-
-
-@lru_cache(maxsize=64)
-def _npy_header(rows: int, columns: int) -> bytes:
-    out = io.BytesIO()
-    shape = {"descr": "<f8", "fortran_order": False, "shape": (rows, columns)}
-    np.lib.format.write_array_header_1_0(out, shape)
-    return out.getvalue()
 
 
 def _evidence_records(data: bytes) -> Evidence:
@@ -322,11 +297,14 @@ def _write_visual(writer: Writer, trajectory: Trajectory, visual: Visual, units:
         writer.add_message(channel, time, data, time)
 
 
-def _plotted(file: bytes, trajectory: Trajectory, units: Mapping[str, str]) -> bytes:
-    """Return a file of evidence alone with a channel for each column: one chunk, and a summary that has it."""
-    footer = len(file) - len(MAGIC) - _FOOTER.size
-    summary = _FOOTER.unpack_from(file, footer)[2]
-    evidence, indexes = file[: summary - _DATA_END.size], file[summary:footer]
+def _plotted(
+    parts: Sequence[bytes], listed: Sequence[bytes], trajectory: Trajectory, units: Mapping[str, str]
+) -> bytes:
+    """Return a file of the evidence in `parts` with a channel for each column: one chunk, and a summary that has it.
+
+    `listed` is what the summary has of the evidence.
+    """
+    evidence, indexes = b"".join(parts), b"".join(listed)
     names = plots.shown(trajectory.columns)
     channels = _plot_channels(tuple((name, units[name]) for name in names))
     found = plots.messages(trajectory.samples, len(channels))

@@ -11,9 +11,10 @@ from mcap.writer import CompressionType, Writer
 from perfbound.schemas.errors import TrajectoryError
 from perfbound.schemas.trajectory.canonical import EVIDENCE, RECORD, REQUEST
 from perfbound.schemas.trajectory.file_checks import MAX_NAMES
-from perfbound.schemas.trajectory.trajectory import Trajectory, _npy, encode, read_mcap
+from perfbound.schemas.trajectory.npy import to_npy
+from perfbound.schemas.trajectory.trajectory import Trajectory, encode, read_mcap
 
-SAMPLES = _npy(np.array([[0.0, 1.0]]))
+SAMPLES = to_npy(np.array([[0.0, 1.0]]))
 COLUMNS = json.dumps(["t", "x"])
 
 
