@@ -5,7 +5,7 @@ from .schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, 
 from .schemas.trajectory.input_signal import InputSignal
 from .schemas.trajectory.trajectory import Trajectory, Transform, Visual
 from .workers.systems.base import Cancelled, Progress, SystemUnderTest, checked_options
-from .workers.systems.function import system
+from .workers.systems.decorator import system
 from .workers.systems.place import Worker
 
 __all__ = [

@@ -173,11 +173,29 @@ class SystemSpec(Model, metaclass=Written):
         "without this key it is refused. The last column is then `ended`",
     )
 
+    vectorised: bool = Field(
+        default=False, description="the system simulates many rollouts in one call, as arrays over them"
+    )
+    batch_is_the_unit: bool = Field(
+        default=False,
+        description="a rollout depends on the others of its batch, so that only the batch as a whole can be repeated",
+    )
+
     signals: tuple[SignalShape, ...] = Field(
         default=(),
         exclude_if=lambda signals: not signals,
         description="of a campaign: the input signals whose knots are among the parameters",
     )
+
+    @model_validator(mode="after")
+    def _batched(self) -> "SystemSpec":
+        if self.batch_is_the_unit and not self.vectorised:
+            raise ValueError("batch_is_the_unit: only a vectorised system simulates its batches together")
+        # A vectorised rollout that has ended goes on in the arrays, and an input is a function of one rollout.
+        without = {"after_end": self.after_end, "signals": any(each.signal for each in self.parameters)}
+        if self.vectorised and (given := [name for name, value in without.items() if value]):
+            raise ValueError(f"vectorised: not together with {given[0]}")
+        return self
 
     @model_validator(mode="after")
     def _named(self) -> "SystemSpec":

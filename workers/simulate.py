@@ -4,7 +4,7 @@ from ..schemas.errors import SimulationError
 from ..schemas.rollout import RolloutRequest
 from ..schemas.trajectory.early_end import held, with_end
 from ..schemas.trajectory.input_signal import start_values
-from ..schemas.trajectory.trajectory import encode
+from ..schemas.trajectory.trajectory import Trajectory, encode
 from .systems import load_system
 from .systems.base import Progress, SystemUnderTest
 
@@ -45,6 +45,13 @@ def run_request_on(system: SystemUnderTest, request: RolloutRequest, progress: P
         Cancelled: raised by `progress`.
 
     """
+    trajectory = simulated(system, request, progress)
+    units = {column.name: column.unit for column in system.spec.columns}
+    return encode(trajectory, request=request.model_dump(mode="json"), metadata=request.metadata, units=units)
+
+
+def simulated(system: SystemUnderTest, request: RolloutRequest, progress: Progress) -> Trajectory:
+    """Return the trajectory of a rollout, with its visual part if the request asks for it; raises as the file."""
     spec = system.spec
     start = start_values(spec.spread(request.signals), request.x, request.horizon)
     trajectory = system.rollout(
@@ -63,7 +70,4 @@ def run_request_on(system: SystemUnderTest, request: RolloutRequest, progress: P
     visual = system.visual(trajectory) if request.visual else None
     if spec.after_end is not None:
         trajectory = with_end(trajectory, samples)
-    if visual is not None:
-        trajectory = trajectory.showing(visual)
-    units = {column.name: column.unit for column in spec.columns}
-    return encode(trajectory, request=request.model_dump(mode="json"), metadata=request.metadata, units=units)
+    return trajectory if visual is None else trajectory.showing(visual)

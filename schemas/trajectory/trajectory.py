@@ -72,6 +72,9 @@ FRAME_RATE = 30  # 1/s
 CHUNK_BYTES = 65536
 PLOT_LEVEL = -1  # of zstd: two thirds of the time of its default, and here 7 % smaller
 
+MALFORMED = (McapError, ValueError, KeyError, struct.error, OverflowError, RecursionError, MemoryError)
+"""What the readers raise for bytes that are no file."""
+
 _DATA_END = struct.Struct("<BQI")  # opcode, length, crc of everything before
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, of its offsets, crc of the summary
 
@@ -97,7 +100,7 @@ class Trajectory:
             raise ValueError(f"samples: an array that {error}") from None
         samples.flags.writeable = False
         object.__setattr__(self, "samples", samples)
-        _check_columns(self.columns)
+        check_columns(self.columns)
         _check_samples(samples, self.columns)
         self._check_frames()
 
@@ -233,7 +236,7 @@ def _file_of(data: bytes, evidence: Callable[[bytes], Evidence], *, canonical: b
         if not isinstance(request, dict) or canonical_json(request).encode() != attachments[REQUEST]:
             raise TrajectoryError(f"{REQUEST} is not an object, written as perfbound writes it")
         return File(_usable(tuple(columns), from_npy(EVIDENCE, attachments[EVIDENCE], 2)), request, record)
-    except (McapError, ValueError, KeyError, struct.error, OverflowError, RecursionError, MemoryError) as error:
+    except MALFORMED as error:
         raise TrajectoryError(f"not a trajectory file: {type(error).__name__}: {error}") from error
 
 
@@ -244,7 +247,8 @@ def _usable(columns: tuple[str, ...], samples: Floats) -> Trajectory:
         raise UnusableTrajectoryError(f"not a usable trajectory: {error}") from None
 
 
-def _check_columns(columns: tuple[str, ...]) -> None:
+def check_columns(columns: tuple[str, ...]) -> None:
+    """Refuse names that are no columns of a trajectory; raises ValueError."""
     if len(columns) < 2 or columns[0] != "t" or len(set(columns)) != len(columns):
         raise ValueError(f"columns must be distinct, 't' first and at least two: {columns}")
 
@@ -252,17 +256,23 @@ def _check_columns(columns: tuple[str, ...]) -> None:
 def _check_samples(samples: Floats, columns: tuple[str, ...]) -> None:
     if samples.ndim != 2 or samples.shape[1] != len(columns) or not len(samples):
         raise ValueError(f"samples have shape {samples.shape} for {len(columns)} columns")
-    if not np.isfinite(samples).all():
-        finite = np.isfinite(samples)
-        row = int(np.argmin(finite.all(axis=1)))
-        column = int(np.argmin(finite[row]))
-        at = f"t = {samples[row, 0]:g} s, " if column else ""
-        raise ValueError(
-            f"samples are not finite: {columns[column]} is {samples[row, column]} at {at}row {row}; fix the arithmetic "
-            "there (a division by 0, an overflow, an unstable step), or keep the system out of this start"
-        )
+    check_finite(samples, columns)
     if fault := disorder(samples):
         raise ValueError(fault)
+
+
+def check_finite(samples: Floats, columns: tuple[str, ...]) -> None:
+    """Refuse samples (T, n) of which a number is not finite; raises ValueError with its place and the remedy."""
+    finite = np.isfinite(samples)
+    if finite.all():
+        return
+    row = int(np.argmin(finite.all(axis=1)))
+    column = int(np.argmin(finite[row]))
+    at = f"t = {samples[row, 0]:g} s, " if column else ""
+    raise ValueError(
+        f"samples are not finite: {columns[column]} is {samples[row, column]} at {at}row {row}; fix the arithmetic "
+        "there (a division by 0, an overflow, an unstable step), or keep the system out of this start"
+    )
 
 
 def _evidence_records(data: bytes) -> Evidence:

@@ -4,11 +4,16 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ...schemas.errors import SimulationError
 from ...schemas.system import Option, OptionValue, SystemSpec, Variant
 from ...schemas.trajectory.input_signal import InputSignal
 from ...schemas.trajectory.trajectory import Trajectory, Visual
 
+Floats = NDArray[np.float64]
+Seeds = NDArray[np.uint64]
 Progress = Callable[[int], None]
 """Called with the number of control steps done so far; it may raise `Cancelled`."""
 
@@ -66,6 +71,33 @@ class SystemUnderTest(Protocol):
         return None
 
 
+class Vectorised(SystemUnderTest, Protocol):
+    """A system whose spec says `vectorised`: it simulates many rollouts in one call."""
+
+    def rollouts(
+        self,
+        starts: Floats,
+        *,
+        variant: Variant,
+        seeds: Seeds,
+        horizon: float,
+        options: Mapping[str, OptionValue],
+        progress: Progress,
+    ) -> object:
+        """Simulate a rollout from each row of `starts` (R, p), with its seed of `seeds` (R,), in one call.
+
+        Return an array (R, T, n), the columns in the order of the spec and the time first, which is the same for all.
+        Each rollout is the one that `rollout` gives, bit by bit, but
+        for a system whose spec says `batch_is_the_unit`. One whose numbers are not finite fails alone.
+
+        Raises:
+            SimulationError: the batch cannot be simulated.
+            Cancelled: raised by `progress`.
+
+        """
+        ...
+
+
 def checked_options(
     spec: SystemSpec, x: Sequence[Any], *, variant: Variant, horizon: float, options: Mapping[str, OptionValue]
 ) -> dict[str, OptionValue]:
@@ -94,6 +126,18 @@ def checked_options(
     if unknown := sorted(set(options) - set(known)):
         raise SimulationError(f"{spec.name} has no option {unknown[0]!r}, only {', '.join(known)}")
     return {name: _checked_option(option, options.get(name, option.default)) for name, option in known.items()}
+
+
+def checked_starts(spec: SystemSpec, starts: Floats) -> None:
+    """Refuse starts (R, p) of which one is not finite or outside the spec; raises as `checked_options`."""
+    low, high = (np.array([getattr(each, end) for each in spec.parameters]) for end in ("low", "high"))
+    if starts.ndim != 2 or starts.shape[1] != len(low):
+        raise SimulationError(f"{spec.name} takes {len(low)} parameters, not starts of shape {starts.shape}")
+    outside = ~((starts >= low) & (starts <= high))  # in this way also for a NaN
+    if outside.any():
+        row, k = np.argwhere(outside)[0]
+        each = spec.parameters[k]
+        raise SimulationError(f"{each.name} = {starts[row, k]} is outside [{each.low}, {each.high}]")
 
 
 def _checked_option(option: Option, value: OptionValue) -> OptionValue:

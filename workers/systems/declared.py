@@ -8,12 +8,12 @@ import glob
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from ...schemas.errors import DefinitionError, ReplacedError
 from ...schemas.system import SystemSpec
 from ...schemas.trajectory.trajectory import Trajectory, Visual
-from .base import SystemUnderTest
+from .base import Floats, SystemUnderTest, Vectorised
 from .fingerprint import CACHES, file_sha256
 
 MOST_FILES = 10_000
@@ -79,6 +79,14 @@ class WithSpec(SystemUnderTest):
             return self._system.rollout(x, **arguments)
         finally:
             # A file that is replaced meanwhile may make a rollout of neither system, or let it fail.
+            self._declared.check()
+
+    def rollouts(self, starts: Floats, **arguments: Any) -> object:
+        """Simulate many with a vectorised system; raises as `rollout`."""
+        self._declared.check()
+        try:
+            return cast(Vectorised, self._system).rollouts(starts, **arguments)
+        finally:
             self._declared.check()
 
     def visual(self, trajectory: Trajectory) -> Visual | None:

@@ -20,7 +20,7 @@ LARGE_MODULES: dict[str, str] = {}
 
 LARGE_CLASSES: dict[str, str] = {}
 MANY_PARAMETERS: dict[str, str] = {
-    "workers/systems/function.py:system": "the public decorator: keywords, of which most have a default",
+    "workers/systems/decorator.py:system": "the public decorator: keywords, of which most have a default",
 }
 
 

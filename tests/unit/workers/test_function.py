@@ -20,8 +20,9 @@ from perfbound.schemas.system import ASSUMED_HORIZON
 from perfbound.schemas.trajectory.trajectory import read_mcap
 from perfbound.workers import systems
 from perfbound.workers.simulate import run_request_on
+from perfbound.workers.systems.decorator import system
 from perfbound.workers.systems.files import MODULE, load_file
-from perfbound.workers.systems.function import FunctionSystem, system
+from perfbound.workers.systems.function import FunctionSystem
 from tests.facts import facts
 
 RANGE = {"x": pb.Parameter(0, 1, unit="m")}

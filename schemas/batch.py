@@ -1,0 +1,91 @@
+"""The request for a batch: rollouts of one variant, of one test or of consecutive ones, that are simulated together."""
+
+from functools import cached_property
+from typing import Annotated, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from .base import Model
+from .file.signals import SignalShape
+from .ids import RolloutId
+from .ranges import Magnitude, ReplicateNumber, Seconds, Seed, TestNumber
+from .rollout import MAX_PARAMETERS, Name, RolloutRequest, Sha256
+from .system import OptionValue, Variant
+
+LARGEST_BATCH = 1024
+"""Rollouts of a batch: beyond it the cost of a rollout does not fall any more."""
+MOST_NUMBERS = 30_000
+"""Numbers of all starts of a batch, so that its request stays a message of less than a megabyte."""
+Start = Annotated[tuple[Magnitude, ...], Field(min_length=1, max_length=MAX_PARAMETERS)]
+
+
+class BatchRequest(Model):
+    """A batch: replicates `replicate` and the following ones, of test `test` and of the following ones.
+
+    The rollouts are in the order of the tests, and within a test in that of the replicates. `x` has the start of each
+    test, `seeds` the seed of each rollout; everything else is as in `RolloutRequest`.
+    """
+
+    campaign: Name
+    config_sha256: Sha256
+    problem: str = Field(pattern=r"^[a-z_]{1,40}$")
+    test: TestNumber
+    variant: Variant
+    replicate: ReplicateNumber
+    replicates: int = Field(ge=1, le=LARGEST_BATCH, description="of each test")
+    seeds: tuple[Seed, ...] = Field(min_length=1, max_length=LARGEST_BATCH)
+    system: Name
+    spec_sha256: Sha256
+    options: dict[str, OptionValue] = Field(default_factory=dict)
+    x: tuple[Start, ...] = Field(min_length=1, max_length=LARGEST_BATCH)
+    horizon: Seconds
+    signals: tuple[SignalShape, ...] = Field(default=(), max_length=MAX_PARAMETERS)
+
+    @model_validator(mode="after")
+    def _fitting(self) -> Self:
+        if len(self.seeds) != len(self.x) * self.replicates:
+            raise ValueError(f"{len(self.seeds)} seeds for {len(self.x)} starts with {self.replicates} rollouts each")
+        if len(set(map(len, self.x))) != 1 or len(self.x) * len(self.x[0]) > MOST_NUMBERS:
+            raise ValueError(f"the starts differ in length, or have more than {MOST_NUMBERS} numbers together")
+        return self
+
+    def __len__(self) -> int:
+        return len(self.seeds)
+
+    @property
+    def rollout(self) -> str:
+        """Name of the first rollout, which names the batch."""
+        return str(RolloutId(self.problem, self.test, self.variant, self.replicate))
+
+    @property
+    def rollouts(self) -> list[RolloutId]:
+        """Every rollout, in their order."""
+        tests, replicates = range(self.test, self.test + len(self.x)), self.replicates
+        numbers = range(self.replicate, self.replicate + replicates)
+        return [RolloutId(self.problem, test, self.variant, number) for test in tests for number in numbers]
+
+    @cached_property
+    def starts(self) -> NDArray[np.float64]:
+        """The start of each rollout, shape (R, p), in the units of the parameters."""
+        return np.repeat(np.array(self.x), self.replicates, axis=0)
+
+    def single(self, place: int) -> RolloutRequest:
+        """Return the request for one of the rollouts alone."""
+        test, number = divmod(place, self.replicates)
+        common = self.model_dump(exclude={"test", "replicate", "replicates", "seeds", "x", "signals"})
+        return RolloutRequest(
+            **common,
+            test=self.test + test,
+            replicate=self.replicate + number,
+            seed=self.seeds[place],
+            x=self.x[test],
+            signals=self.signals,
+        )
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """The metadata record of the batch's file."""
+        named = {name: getattr(self, name) for name in ("campaign", "problem", "variant", "system", "config_sha256")}
+        return {**named, "first": self.rollout, "rollouts": str(len(self))}

@@ -1,0 +1,182 @@
+"""The trajectories of a batch on one time grid, and their file.
+
+A file contains the evidence alone: attachments `request.json`, `time.npy` (the grid once), `trajectory.npy` (column x
+rollout x time in one array, which costs a fifth of an attachment for each rollout) and, where rollouts have failed,
+`failures.json` with their reasons; their samples are zeros.
+
+| symbol | meaning | shape |
+|---|---|---|
+| T | samples of each rollout | |
+| R | rollouts | |
+| n | columns, the first one is the time `t` | |
+"""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..base import canonical_json
+from ..batch import LARGEST_BATCH
+from ..errors import TrajectoryError, UnusableTrajectoryError, shortened
+from ..instants import disorder
+from .canonical import EVIDENCE, FAILURES, OF_BATCH, REQUEST, TIME, canonical_evidence, canonical_file
+from .file_checks import check_checksums, check_length, check_sizes
+from .npy import from_npy, to_npy
+from .trajectory import MALFORMED, Trajectory, check_columns, check_finite
+from .visual import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """The trajectories of R rollouts on one time grid; the arrays become read-only.
+
+    `failures` has the reason of each rollout that has no trajectory, by its place.
+
+    Raises:
+        ValueError: a shape is wrong, a number is not finite, the time decreases, or no rollout has a trajectory.
+
+    """
+
+    columns: tuple[str, ...]
+    time: Floats  # (T,), s
+    values: Floats  # (n - 1, R, T)
+    failures: Mapping[int, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_columns(self.columns)
+        for array in (self.time, self.values):
+            array.flags.writeable = False
+        shape = self.values.shape
+        if self.time.ndim != 1 or len(shape) != 3 or shape[::2] != (len(self.columns) - 1, len(self.time)):
+            raise ValueError(f"times have shape {self.time.shape}, values {shape}, for {len(self.columns)} columns")
+        if not 0 < shape[1] <= LARGEST_BATCH or not shape[2]:
+            raise ValueError(f"a batch has 1 to {LARGEST_BATCH} rollouts of one sample at least, not shape {shape}")
+        if not set(self.failures) <= set(range(shape[1])) or len(self.failures) == shape[1]:
+            raise ValueError("failures are those of some of the rollouts, by their places")
+        failed = list(self.failures)
+        if failed and self.values[:, failed].any():
+            raise ValueError("the samples of a failed rollout are zeros")
+        if not (np.isfinite(self.values).all() and np.isfinite(self.time).all()):
+            self._raise_first()
+        self._check_order()
+
+    def _check_order(self) -> None:
+        if len(self.time) > 1 and not (np.diff(self.time) > 0.0).all():
+            # Rows of one time are a jump, and may change once: a matter of the values of each rollout.
+            for place in self.succeeded:
+                if fault := disorder(self._samples(place)):
+                    raise ValueError(f"rollout {place}: {fault}")
+        elif fault := disorder(self.time[:, np.newaxis]):
+            raise ValueError(fault)
+
+    def _raise_first(self) -> None:
+        for place in self.succeeded:
+            try:
+                check_finite(self._samples(place), self.columns)
+            except ValueError as error:
+                raise ValueError(f"rollout {place}: {error}") from None
+
+    def __len__(self) -> int:
+        return int(self.values.shape[1])
+
+    @property
+    def succeeded(self) -> list[int]:
+        """The places of the rollouts that have a trajectory."""
+        return [place for place in range(len(self)) if place not in self.failures]
+
+    def trajectory(self, place: int) -> Trajectory:
+        """Return the trajectory of one rollout.
+
+        Raises:
+            KeyError: it has failed.
+
+        """
+        if place in self.failures:
+            raise KeyError(f"rollout {place} of the batch failed: {self.failures[place]}")
+        return Trajectory(self.columns, self._samples(place))
+
+    def _samples(self, place: int) -> Floats:
+        return np.column_stack((self.time, self.values[:, place].T))
+
+    def digests(self) -> Iterator[bytes]:
+        """Yield the sha256 of every rollout, of its times and samples alone, so that no file and no batch decides it.
+
+        That of a failed one is empty.
+        """
+        grid = hashlib.sha256(self.time.tobytes())
+        by_rollout = np.ascontiguousarray(self.values.transpose(1, 0, 2))
+        for place in range(len(self)):
+            if place in self.failures:
+                yield b""
+                continue
+            found = grid.copy()
+            found.update(memoryview(by_rollout[place]).cast("B"))
+            yield found.digest()
+
+
+class BatchFile(NamedTuple):
+    """The content of a batch's file; `request` is the JSON text."""
+
+    batch: Batch
+    request: bytes
+    metadata: dict[str, str]
+
+
+def encode_batch(batch: Batch, *, request: Mapping[str, Any], metadata: Mapping[str, str]) -> bytes:
+    """Return the batch's file: equal arguments give equal bytes; raises ValueError for a number that is not finite."""
+    attachments = {
+        REQUEST: canonical_json(dict(request)).encode(),
+        TIME: to_npy(batch.time),
+        EVIDENCE: to_npy(batch.values),
+    }
+    if batch.failures:
+        listed = [[place, shortened(reason)] for place, reason in sorted(batch.failures.items())]
+        attachments[FAILURES] = canonical_json(listed).encode()
+    return canonical_file(OF_BATCH, {**metadata, "columns": json.dumps(batch.columns)}, attachments)
+
+
+def read_batch(data: bytes) -> BatchFile:
+    """Return the content of the one file that `encode_batch` writes for it.
+
+    Every byte is covered by a checksum that is verified here, and nothing larger than the file is allocated.
+
+    Raises:
+        UnusableTrajectoryError: the file is intact, but `Batch` refuses its content.
+        TrajectoryError: it is damaged, cut, too large, incomplete or written otherwise.
+
+    """
+    try:
+        check_checksums(data)
+        check_sizes(data)
+        metadata, attachments = canonical_evidence(data, OF_BATCH, visual=False)
+        columns = json.loads(metadata["columns"])
+        if not isinstance(columns, list) or not all(isinstance(name, str) for name in columns):
+            raise TrajectoryError("the columns are not a list of names")
+        check_length(REQUEST, attachments[REQUEST])
+        failures = _failures(attachments.get(FAILURES))
+        arrays = from_npy(TIME, attachments[TIME], 1), from_npy(EVIDENCE, attachments[EVIDENCE], 3)
+        try:
+            batch = Batch(tuple(columns), *arrays, failures)
+        except ValueError as error:
+            raise UnusableTrajectoryError(f"not a usable batch: {error}") from None
+        return BatchFile(batch, attachments[REQUEST], metadata)
+    except MALFORMED as error:
+        raise TrajectoryError(f"not a batch's file: {type(error).__name__}: {error}") from error
+
+
+def _failures(content: bytes | None) -> dict[int, str]:
+    if content is None:
+        return {}
+    check_length(FAILURES, content)
+    listed = json.loads(content)
+    if not isinstance(listed, list) or not all(isinstance(each, list) and len(each) == 2 for each in listed):
+        raise TrajectoryError(f"{FAILURES} is no list of places with their reasons")
+    found = {place: reason for place, reason in listed if type(place) is int and type(reason) is str}
+    again = [[place, shortened(reason)] for place, reason in sorted(found.items())]
+    if not found or canonical_json(again).encode() != content:
+        raise TrajectoryError(f"{FAILURES} is not written as perfbound writes it")
+    return found

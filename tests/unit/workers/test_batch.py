@@ -1,0 +1,165 @@
+"""A batch on a worker: equal to its rollouts alone, and one that fails leaves the others as they are."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import perfbound as pb
+from perfbound.schemas.errors import DefinitionError, SimulationError
+from perfbound.schemas.trajectory.batch import Batch, read_batch
+from perfbound.schemas.trajectory.trajectory import decode
+from perfbound.workers.batch import run_batch_on
+from perfbound.workers.simulate import run_request_on
+from perfbound.workers.systems.base import Cancelled, SystemUnderTest
+from tests.fakes.batches import Starts, batch_request, many, one
+
+pytestmark = pytest.mark.integration
+"""A function that reports no progress has a clock, which sleeps."""
+
+STARTS: Starts = [(1.0,), (2.5,), (0.1,)]
+
+
+def simulated(system: SystemUnderTest, starts: Starts, progress: Any = lambda _: None, **keys: Any) -> Batch:
+    return read_batch(run_batch_on(system, batch_request(system.spec, starts, **keys), progress)).batch
+
+
+@pytest.mark.parametrize("system", [one, many], ids=["in turn", "together"])
+def test_each_rollout_is_the_one_that_is_simulated_alone(system: SystemUnderTest) -> None:
+    request = batch_request(system.spec, STARTS, replicates=2, options={"gain": 3.0})
+    file = read_batch(run_batch_on(system, request, lambda _: None))
+    for place in range(len(request)):
+        alone = decode(run_request_on(system, request.single(place), lambda _: None))
+        assert np.array_equal(file.batch.trajectory(place).samples, alone.samples)
+    assert file.metadata["first"] == "mean.3.nominal.0"
+
+
+def test_a_vectorised_system_gives_what_the_same_one_gives_in_turn() -> None:
+    first, second = (simulated(each, STARTS, replicates=3) for each in (one, many))
+    assert list(first.digests()) == list(second.digests())
+
+
+def test_a_rollout_that_fails_leaves_the_others_as_they_are() -> None:
+    starts: list[tuple[float, ...]] = [(1.0,), (9.5,), (8.5,), (2.0,)]
+    found, without = simulated(one, starts), simulated(one, [starts[0], starts[3]], seeds=(100, 103))
+    assert found.failures.keys() == {1, 2}
+    assert found.failures[1].startswith("RuntimeError: the model diverged (batches.py, line ")
+    assert found.failures[2].startswith("samples are not finite: z is nan at t = 0 s, row 0")
+    assert [each for each in found.digests() if each] == list(without.digests())
+    assert simulated(many, starts[:1] + starts[2:]).failures == {1: found.failures[2]}
+
+
+@pytest.mark.parametrize("system", [one, many], ids=["in turn", "together"])
+def test_a_batch_without_a_rollout_is_a_failure(system: SystemUnderTest) -> None:
+    with pytest.raises(SimulationError, match="not finite"):
+        simulated(system, [(8.5,), (8.6,)])
+
+
+def test_a_start_outside_the_spec_fails() -> None:
+    assert simulated(one, [(11.0,), (1.0,)]).failures == {0: "a = 11.0 is outside [0.0, 10.0]"}
+    with pytest.raises(SimulationError, match=r"a = 11\.0 is outside"):
+        simulated(many, [(11.0,), (1.0,)])
+
+
+def test_different_time_grids_are_refused_with_the_way_out() -> None:
+    @pb.system(parameters={"a": pb.Parameter(0, 10)}, columns={"y": "m"})
+    def grids(a: float, *, horizon: float = 1.0) -> dict[str, Any]:
+        return {"t": np.linspace(0, horizon, int(a) + 2), "y": np.zeros(int(a) + 2)}
+
+    with pytest.raises(SimulationError, match=r"another time grid at a = 2.*`batch = 1`"):
+        simulated(grids, [(1.0,), (2.0,)])
+
+
+def test_it_can_be_cancelled_and_its_steps_grow() -> None:
+    steps: list[int] = []
+    simulated(one, STARTS, steps.append)
+    assert steps == sorted(steps)
+    assert len(set(steps)) >= len(STARTS)
+
+    def stop(step: int) -> None:
+        if step > 1:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        simulated(one, STARTS, stop)
+
+
+@pytest.mark.parametrize(
+    ("returned", "said"),
+    [
+        (lambda n: np.zeros((n, 4, 1)), r"return \(3, samples, 2\)"),
+        (lambda n: np.zeros((n + 1, 4, 2)), r"return \(3, samples, 2\)"),
+        (lambda n: {"y": np.zeros((n, 4))}, "returned y, its columns are y, z"),
+        (lambda n: (np.zeros((n, 4)), np.zeros((n, 3))), "differ in shape"),
+        (lambda n: (np.zeros((n, 4)), np.zeros(4)), r"z has the shape \(4, 1\); return \(3, samples\)"),
+        (lambda n: {"t": np.zeros(3), "y": np.zeros((n, 4)), "z": np.zeros((n, 4))}, r"t has the shape \(3,\)"),
+        (lambda n: (np.zeros((n, 0)), np.zeros((n, 0))), "has the shape"),
+        (lambda _: "text", "is text"),
+        (lambda _: None, "the returned value"),
+    ],
+)
+def test_what_a_vectorised_function_returns_otherwise_is_named(returned: Any, said: str) -> None:
+    @pb.system(parameters={"a": pb.Parameter(0, 10)}, columns={"y": "m", "z": "m"}, step=0.25, vectorised=True)
+    def wrong(a: Any) -> Any:
+        return returned(len(a))
+
+    with pytest.raises(SimulationError, match=said):
+        simulated(wrong, STARTS)
+
+
+def test_forms_that_a_vectorised_function_may_return() -> None:
+    def each(returned: Any) -> Batch:
+        @pb.system(parameters={"a": pb.Parameter(0, 10)}, columns={"y": "m"}, step=0.25, vectorised=True)
+        def system(a: Any, *, horizon: float = 1.0) -> Any:
+            return returned(a)
+
+        return simulated(system, STARTS)
+
+    wanted = each(lambda a: np.repeat(a[:, None], 5, axis=1)).values
+    assert wanted.shape == (1, 3, 5)
+    for form in (
+        lambda a: np.repeat(a[:, None, None], 5, axis=1),
+        lambda a: [np.repeat(a[:, None], 5, axis=1)],
+        lambda a: {"y": np.repeat(a[:, None], 5, axis=1), "t": np.arange(5) * 0.25},
+        lambda a: {"y": np.repeat(a[:, None], 5, axis=1), "t": np.tile(np.arange(5) * 0.25, (3, 1))},
+    ):
+        assert np.array_equal(each(form).values, wanted)
+    assert each(lambda a: a).values.shape == (1, 3, 1)
+
+
+def test_times_of_a_batch_are_the_same_for_all() -> None:
+    @pb.system(parameters={"a": pb.Parameter(0, 10)}, columns={"y": "m"}, vectorised=True)
+    def system(a: Any, *, horizon: float = 1.0) -> Any:
+        return {"t": a[:, None] * np.array([0.0, horizon]), "y": np.zeros((len(a), 2))}
+
+    with pytest.raises(SimulationError, match="different times"):
+        simulated(system, STARTS)
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"vectorised": False, "batch_is_the_unit": True}, "batch_is_the_unit: only a vectorised"),
+        ({"after_end": "hold"}, "vectorised: not together with after_end"),
+        ({"parameters": {"a": pb.Parameter(low=0, high=1, signal=True)}}, "vectorised: not together with signals"),
+        ({"noisy": ["nominal"]}, "takes its `seeds` as an argument"),
+    ],
+)
+def test_what_a_vectorised_system_cannot_be_is_refused(keys: dict[str, Any], said: str) -> None:
+    given: dict[str, Any] = {"parameters": {"a": pb.Parameter(0, 1)}, "columns": {"y": "m"}, "vectorised": True}
+    with pytest.raises(DefinitionError, match=said):
+
+        @pb.system(**given | keys)
+        def system(a: Any) -> Any:
+            return a
+
+
+def test_a_function_may_change_its_arguments() -> None:
+    @pb.system(parameters={"a": pb.Parameter(0, 10)}, columns={"y": "m"}, vectorised=True)
+    def system(a: Any, *, seeds: Any) -> Any:
+        a += 1.0
+        return a + seeds
+
+    request = batch_request(system.spec, STARTS)
+    run_batch_on(system, request, lambda _: None)
+    assert request.starts.tolist() == [[1.0], [2.5], [0.1]]
