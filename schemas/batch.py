@@ -1,5 +1,6 @@
 """The request for a batch: rollouts of one variant, of one test or of consecutive ones, that are simulated together."""
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Annotated, Self
 
@@ -9,13 +10,11 @@ from pydantic import Field, model_validator
 
 from .base import Model
 from .file.signals import SignalShape
-from .ids import RolloutId
-from .ranges import Magnitude, ReplicateNumber, Seconds, Seed, TestNumber
-from .rollout import MAX_PARAMETERS, Name, RolloutRequest, Sha256
-from .system import OptionValue, Variant
+from .ids import FileId, RolloutId
+from .ranges import LARGEST_BATCH, MAX_FILE_BYTES, Magnitude, ReplicateNumber, Seconds, Seed, TestNumber
+from .rollout import MAX_PARAMETERS, Name, RequestTemplate, RolloutRequest, Sha256
+from .system import OptionValue, SystemSpec, Variant
 
-LARGEST_BATCH = 1024
-"""Rollouts of a batch: beyond it the cost of a rollout does not fall any more."""
 MOST_NUMBERS = 30_000
 """Numbers of all starts of a batch, so that its request stays a message of less than a megabyte."""
 Start = Annotated[tuple[Magnitude, ...], Field(min_length=1, max_length=MAX_PARAMETERS)]
@@ -62,9 +61,8 @@ class BatchRequest(Model):
     @property
     def rollouts(self) -> list[RolloutId]:
         """Every rollout, in their order."""
-        tests, replicates = range(self.test, self.test + len(self.x)), self.replicates
-        numbers = range(self.replicate, self.replicate + replicates)
-        return [RolloutId(self.problem, test, self.variant, number) for test in tests for number in numbers]
+        first = RolloutId(self.problem, self.test, self.variant, self.replicate)
+        return batch_rollouts(first, len(self.x), self.replicates)
 
     @cached_property
     def starts(self) -> NDArray[np.float64]:
@@ -89,3 +87,53 @@ class BatchRequest(Model):
         """The metadata record of the batch's file."""
         named = {name: getattr(self, name) for name in ("campaign", "problem", "variant", "system", "config_sha256")}
         return {**named, "first": self.rollout, "rollouts": str(len(self))}
+
+
+def batch_rollouts(first: RolloutId, tests: int, replicates: int) -> list[RolloutId]:
+    """Return the rollouts of a batch: so many replicates of each of so many tests, from `first` on."""
+    problem, test, variant, replicate = first
+    numbers = range(replicate, replicate + replicates)
+    return [RolloutId(problem, each, variant, number) for each in range(test, test + tests) for number in numbers]
+
+
+def batch_request(
+    template: RequestTemplate, first: RolloutId, starts: Sequence[Sequence[float]], seeds: Sequence[int]
+) -> BatchRequest:
+    """Return the request for a batch, from `first` on, of tests with these starts (k, p); each rollout has its seed."""
+    return BatchRequest(
+        campaign=template.campaign,
+        config_sha256=template.config_sha256,
+        problem=first.problem,
+        test=first.test,
+        variant="nominal" if first.variant == "nominal" else "true",
+        replicate=first.replicate,
+        replicates=len(seeds) // len(starts),
+        seeds=tuple(seeds),
+        system=template.spec.name,
+        spec_sha256=template.spec_sha256,
+        options=dict(template.options),
+        x=tuple(map(tuple, starts)),
+        horizon=template.horizon,
+        signals=template.spec.signals,
+    )
+
+
+def read_request(text: str) -> RolloutRequest | BatchRequest:
+    """Read the JSON of a request for a rollout or for a batch; raises pydantic's ValidationError."""
+    return (BatchRequest if '"seeds"' in text else RolloutRequest).model_validate_json(text)
+
+
+def file_of(request: RolloutRequest | BatchRequest) -> FileId:
+    """Return the file of the rollout or of the batch that is requested."""
+    first = RolloutId(request.problem, request.test, request.variant, request.replicate)
+    return FileId(first, len(request)) if isinstance(request, BatchRequest) else FileId(first)
+
+
+def alone(request: RolloutRequest | BatchRequest) -> RolloutRequest:
+    """Return the request for a rollout, or for the first one of a batch."""
+    return request.single(0) if isinstance(request, BatchRequest) else request
+
+
+def largest_result(spec: SystemSpec, request: RolloutRequest | BatchRequest) -> int:
+    """Return the bytes of the largest file that is accepted for a request."""
+    return min(spec.largest_file * (len(request) if isinstance(request, BatchRequest) else 1), MAX_FILE_BYTES)

@@ -84,6 +84,33 @@ class RolloutId(NamedTuple):
         return found
 
 
+class FileId(NamedTuple):
+    """A file of trajectories: that of a rollout, or of a batch, which has so many `places` from a rollout on."""
+
+    rollout: RolloutId
+    places: int = 0
+
+    def __str__(self) -> str:
+        return f"{self.rollout}.{self.places}" if self.places else str(self.rollout)
+
+    @classmethod
+    def parse(cls, text: str) -> "FileId":
+        """Read the text form.
+
+        Raises:
+            ValueError: `text` has another form.
+
+        >>> FileId.parse("sim_gap.3.true.0.256")
+        FileId(rollout=RolloutId(problem='sim_gap', test=3, variant='true', replicate=0), places=256)
+
+        """
+        parts = text.split(".")
+        found = cls(RolloutId.parse(".".join(parts[:4])), int("".join(parts[4:5]) or 0))
+        if str(found) != text:
+            raise ValueError(f"{text!r} is no name of a file")
+        return found
+
+
 @dataclass(frozen=True, slots=True)
 class Attempt:
     """One try of a rollout; numbered from 1."""

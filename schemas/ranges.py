@@ -16,6 +16,8 @@ MAX_FILE_BYTES = 64 * 2**20
 MOST_SECONDS = 1e9
 """Thirty years; a million attempts of them sum up to 1e15 s, still exact to a second."""
 LARGEST_NUMBER = 1e100
+LARGEST_BATCH = 1024
+"""Rollouts of a batch: beyond it the cost of a rollout does not fall any more."""
 
 ProtocolNumber = Annotated[int, Field(ge=0, le=10**6)]
 ProcessId = Annotated[int, Field(ge=1, lt=2**31, description="as the kernel counts them: pid_t has 32 bits")]

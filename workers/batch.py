@@ -12,11 +12,18 @@ from ..schemas.rollout import RolloutRequest
 from ..schemas.trajectory.batch import Batch, encode_batch
 from ..schemas.trajectory.trajectory import Trajectory, check_finite
 from .faults import NOT_OF_SYSTEMS, fault_text
-from .simulate import simulated
+from .simulate import run_request_on, simulated
 from .systems.base import Cancelled, Floats, Progress, SystemUnderTest, Vectorised
 
 LONGEST_REASON = 200
 """Characters of the reason of one failed rollout."""
+
+
+def run_on(system: SystemUnderTest, request: RolloutRequest | BatchRequest, progress: Progress) -> bytes:
+    """Simulate a rollout or a batch; raises as each of them."""
+    if isinstance(request, BatchRequest):
+        return run_batch_on(system, request, progress)
+    return run_request_on(system, request, progress)
 
 
 def run_batch_on(system: SystemUnderTest, request: BatchRequest, progress: Progress) -> bytes:

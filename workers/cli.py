@@ -200,7 +200,7 @@ def _be_child() -> None:
 
 @group.command()
 @system_option
-@click.option("--request", required=True, help="RolloutRequest as JSON.")
+@click.option("--request", required=True, help="RolloutRequest or BatchRequest as JSON, or @FILE with it.")
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), required=True, help="MCAP file to write.")
 def simulate(request: str, out: Path) -> None:
     """Run one rollout without an orchestrator and write its trajectory."""
@@ -249,16 +249,22 @@ def _undeclared(requests: Path) -> tuple[str, ...]:
 
 
 def _trajectory_file(request: str) -> bytes:
-    """Return the file of one rollout; end with one line where there is none."""
+    """Return the file of one rollout, or of one batch; end with one line where there is none."""
     from pydantic import ValidationError  # noqa: PLC0415
 
-    from ..schemas.rollout import RolloutRequest  # noqa: PLC0415
+    from ..schemas.batch import read_request  # noqa: PLC0415
+    from .batch import run_on  # noqa: PLC0415
     from .faults import NOT_OF_SYSTEMS, fault_text  # noqa: PLC0415
-    from .simulate import run_request  # noqa: PLC0415
+    from .simulate import requested_system  # noqa: PLC0415
 
     try:
+        if request.startswith("@"):
+            request = Path(request[1:]).read_text()
         with contextlib.redirect_stdout(sys.stderr):  # where a user of the command finds what a function prints
-            return run_request(RolloutRequest.model_validate_json(request), lambda _: None)
+            asked = read_request(request)
+            return run_on(requested_system(asked), asked, lambda _: None)
+    except (OSError, UnicodeDecodeError) as error:
+        fail(f"--request {request}: {error}")
     except ValidationError as error:
         fault = error.errors(include_url=False)[0]
         fail(f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}")

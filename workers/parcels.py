@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from ..schemas.failure import Failure
-from ..schemas.link.messages import Assign, ResultHeader
+from ..schemas.link.messages import Assign, AssignBatch, ResultHeader
 from ..schemas.link.seal import result_proof
 from .transport import Uplink
 
@@ -45,7 +45,7 @@ class Parcels:
     def __contains__(self, key: Key) -> bool:
         return key in self._waiting
 
-    def add(self, assign: Assign, found: End, **spent: float) -> None:
+    def add(self, assign: Assign | AssignBatch, found: End, **spent: float) -> None:
         """Keep the end of an attempt, which `deliver` delivers; `spent` are the seconds of its header."""
         rollout, attempt = key = key_of(assign)
         named = {"rollout": rollout, "attempt": attempt, "worker": self._worker}
@@ -86,7 +86,7 @@ class Parcels:
             self._uplink.deliver(parcel.header, parcel.payload)
 
 
-def key_of(assign: Assign) -> Key:
+def key_of(assign: Assign | AssignBatch) -> Key:
     """Return the attempt of an assignment."""
     return assign.request.rollout, assign.attempt
 

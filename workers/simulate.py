@@ -1,5 +1,6 @@
 """One rollout on this worker: from the request to the bytes of the trajectory's file."""
 
+from ..schemas.batch import BatchRequest
 from ..schemas.errors import SimulationError
 from ..schemas.rollout import RolloutRequest
 from ..schemas.trajectory.early_end import held, with_end
@@ -21,7 +22,7 @@ def run_request(request: RolloutRequest, progress: Progress) -> bytes:
     return run_request_on(requested_system(request), request, progress)
 
 
-def requested_system(request: RolloutRequest) -> SystemUnderTest:
+def requested_system(request: RolloutRequest | BatchRequest) -> SystemUnderTest:
     """Return the installed system that a request names.
 
     Raises:

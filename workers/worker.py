@@ -8,15 +8,16 @@ from collections.abc import Callable
 from typing import Literal
 
 from ..schemas import __version__
+from ..schemas.batch import BatchRequest, largest_result
 from ..schemas.errors import PerfboundError, RefusedError, ReplacedError
 from ..schemas.failure import Failure, FailureKind
 from ..schemas.host import host_name
 from ..schemas.link.messages import (
     HEARTBEAT,
-    MAX_RESULT,
     PROTOCOL,
     Ack,
     Assign,
+    AssignBatch,
     Cancel,
     HeartbeatInterval,
     Refuse,
@@ -29,9 +30,10 @@ from ..schemas.platforms import platform_class
 from ..schemas.ranges import within_steps
 from ..schemas.rollout import RolloutRequest
 from ..schemas.system import SystemSpec
+from .batch import run_on
 from .faults import NOT_OF_SYSTEMS, fault_text
 from .parcels import Key, Parcels, key_of
-from .simulate import requested_system, run_request_on
+from .simulate import requested_system
 from .systems import usable
 from .systems.base import Cancelled
 from .transport import Uplink
@@ -81,10 +83,10 @@ class WorkerProcess:
     def __init__(self, name: str, uplink: Uplink) -> None:
         self.name = name
         self._uplink = uplink
-        self._inbox: queue.SimpleQueue[Assign | Refuse | None] = queue.SimpleQueue()
+        self._inbox: queue.SimpleQueue[Assign | AssignBatch | Refuse | None] = queue.SimpleQueue()
         self._lock = threading.Lock()
         self._outbox, self._heartbeats = Parcels(name, uplink), Heartbeats(uplink, HEARTBEAT)
-        self._accepted: Assign | None = None
+        self._accepted: Assign | AssignBatch | None = None
         self._cancelled: Key | None = None
         self._interrupted: Key | None = None
         self._progress: tuple[Key | None, int] = (None, 0)
@@ -103,7 +105,7 @@ class WorkerProcess:
     def receive(self, message: Request) -> None:
         """Take a message of the orchestrator; called by the transport's thread."""
         match message:
-            case Assign():
+            case Assign() | AssignBatch():
                 self._accept(message)
             case Cancel():
                 self._cancelled = (message.rollout, message.attempt)
@@ -171,7 +173,7 @@ class WorkerProcess:
                     continue
                 if isinstance(message, Refuse):
                     raise RefusedError(message.reason)
-                if isinstance(message, Assign):
+                if isinstance(message, Assign | AssignBatch):
                     self._simulate(message)
             return end
         finally:
@@ -186,7 +188,7 @@ class WorkerProcess:
             return "left"
         return "abandoned" if abandoned(not self._outbox) else None
 
-    def _accept(self, assign: Assign) -> None:
+    def _accept(self, assign: Assign | AssignBatch) -> None:
         key = key_of(assign)
         with self._lock:
             current = self._accepted and key_of(self._accepted)
@@ -195,7 +197,7 @@ class WorkerProcess:
             self._accepted = assign
         self._inbox.put(assign)
 
-    def _simulate(self, assign: Assign) -> None:
+    def _simulate(self, assign: Assign | AssignBatch) -> None:
         if self._leaving_since is not None:  # it has not begun
             self.hand_back()
             return
@@ -215,14 +217,14 @@ class WorkerProcess:
         self._finish(assign)
         self._outbox.deliver(RESEND)
 
-    def _run(self, request: RolloutRequest, key: Key) -> bytes | Failure:
+    def _run(self, request: RolloutRequest | BatchRequest, key: Key) -> bytes | Failure:
         """Return the trajectory's file, or the failure of the attempt."""
         kind: FailureKind = "infrastructure"  # this worker has another system, or none
         try:
             system = requested_system(request)
             # By place, not by type of exception: a system may raise any.
             kind = "system"
-            payload = run_request_on(system, request, lambda step: self._advance(key, step))
+            payload = run_on(system, request, lambda step: self._advance(key, step))
         except ImportError as fault:  # this worker lacks a part of the system: it never ran
             return Failure("infrastructure", fault_text(fault))
         except ReplacedError as fault:  # another system: its rollouts say nothing about the one of the campaign
@@ -233,7 +235,7 @@ class WorkerProcess:
             raise
         except BaseException as fault:  # noqa: BLE001  (any: the orchestrator decides on a retry)
             return Failure(kind, fault_text(fault))
-        if len(payload) > (most := min(MAX_RESULT, system.spec.largest_file)):
+        if len(payload) > (most := largest_result(system.spec, request)):
             size = f"{len(payload)} bytes, more than the {most} of a result"
             return Failure("system", f"the trajectory's file has {size}")
         return payload
@@ -251,7 +253,7 @@ class WorkerProcess:
                 self._cancelled = self._interrupted = key_of(self._accepted)
                 self._accepted = None
 
-    def _finish(self, assign: Assign) -> None:
+    def _finish(self, assign: Assign | AssignBatch) -> None:
         with self._lock:
             if self._accepted is assign:
                 self._accepted = None

@@ -4,12 +4,15 @@ import hashlib
 from typing import Literal
 
 from ...schemas.base import canonical_json
+from ...schemas.batch import BatchRequest
 from ...schemas.errors import EvidenceError, PerfboundError, RequestError, TrajectoryError, UnusableTrajectoryError
 from ...schemas.ids import RolloutId
 from ...schemas.instants import uncovered
 from ...schemas.rollout import RolloutRequest
+from ...schemas.trajectory.batch import Batch, read_batch
 from ...schemas.trajectory.trajectory import Trajectory, read_canonical
-from .ledger import Ledger
+from .decisions import scores_of_batch
+from .ledger import Ledger, Scored
 from .objectives import measured
 from .observation import Others
 
@@ -43,6 +46,39 @@ def admit(request: RolloutRequest, columns: tuple[str, ...], payload: bytes, sha
     if {**file.metadata, "columns": ""} != {**request.metadata, "columns": ""}:
         raise RequestError("the metadata of the trajectory are those of another rollout")
     return file.trajectory
+
+
+def admit_either(
+    request: RolloutRequest | BatchRequest, columns: tuple[str, ...], payload: bytes, sha256: str
+) -> Trajectory | Batch:
+    """Return the trajectory of a rollout, or those of a batch; raises as `admit`."""
+    if isinstance(request, BatchRequest):
+        return admit_batch(request, columns, payload, sha256)
+    return admit(request, columns, payload, sha256)
+
+
+def admit_batch(request: BatchRequest, columns: tuple[str, ...], payload: bytes, sha256: str) -> Batch:
+    """Return the trajectories of the batch that `request` describes, from the bytes of its file; raises as `admit`."""
+    if hashlib.sha256(payload).hexdigest() != sha256:
+        raise EvidenceError("the result does not have the sha256 that its sender announces")
+    try:
+        file = read_batch(payload)
+    except UnusableTrajectoryError:
+        raise
+    except TrajectoryError as fault:
+        raise EvidenceError(f"the result is not a batch of trajectories: {fault}") from None
+    if file.request != canonical_json(request.model_dump(mode="json")).encode():
+        raise RequestError("the batch was simulated for another request")
+    batch = file.batch
+    if len(batch) != len(request):
+        raise RequestError(f"the batch has {len(batch)} rollouts, and {len(request)} were requested")
+    if batch.columns != columns:
+        raise UnusableTrajectoryError(f"the batch has the columns {', '.join(batch.columns)[:200]}")
+    if uncovering := uncovered(batch.time, request.horizon):
+        raise UnusableTrajectoryError(uncovering)
+    if {**file.metadata, "columns": ""} != {**request.metadata, "columns": ""}:
+        raise RequestError("the metadata of the batch are those of another one")
+    return batch
 
 
 def check_whole(trajectory: Trajectory, columns: tuple[str, ...], horizon: float) -> None:
@@ -93,6 +129,24 @@ class Admission:
             raise UnusableTrajectoryError(f"the objective cannot be computed: {fault}")
         return compared
 
+    def score(self, rollout: RolloutId, request: BatchRequest, batch: Batch) -> tuple[Scored, Compared]:
+        """Return a batch with its scores; a rollout from which the objective cannot be computed has failed.
+
+        Return as well with how much its time grid has been compared.
+
+        Raises:
+            UnusableTrajectoryError: the objective can be computed from none.
+
+        """
+        found = scored(self._ledger, request, batch)
+        if self._ledger.restores(rollout):
+            return found, "same"
+        # Its partner may come in another batch, and needs the same grid.
+        paired = (
+            rollout.problem in self._ledger.plans and self._ledger.plans[rollout.problem].objective.measured == "gap"
+        )
+        return found, "first of a pair" if paired else "alone"
+
     def _others(self, rollout: RolloutId, key: tuple[str, int]) -> list[Trajectory]:
         facts = self._ledger.series[rollout.problem].rollouts.get(rollout.test, ())
         try:
@@ -100,6 +154,19 @@ class Admission:
         except EvidenceError as fault:
             # No failure of this attempt: what is damaged was recorded before it.
             raise PerfboundError(str(fault)) from None
+
+
+def scored(ledger: Ledger, request: BatchRequest, batch: Batch) -> Scored:
+    """Return a batch with its scores; a rollout from which the objective cannot be computed has failed.
+
+    Raises:
+        UnusableTrajectoryError: the objective can be computed from none.
+
+    """
+    found = scores_of_batch(ledger.observer, request, batch)
+    if len(found.failures) == len(batch):
+        raise UnusableTrajectoryError(next(iter(found.failures.values())))
+    return Scored(batch, found)
 
 
 def objective_fault(ledger: Ledger, rollout: RolloutId, trajectory: Trajectory, others: Others) -> str | None:

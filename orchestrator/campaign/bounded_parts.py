@@ -10,7 +10,7 @@ from ..mathematics.bounds.joint import JointMethod
 from .methods import Methods
 from .observation import of_requirement
 from .plan import ProblemPlan
-from .series import Account
+from .series import Account, Rows
 
 
 def bounded_accounts(accounts: Mapping[str, Account], methods: Methods) -> dict[str, Account]:
@@ -37,7 +37,7 @@ def _part(account: Account, place: int, plan: ProblemPlan, bound: Bound) -> Acco
         account.link,
         plan=plan,
         observations=array("d", (observation.y for observation in each)),
-        each=[observation.each for observation in each],
+        each=Rows(observation.each for observation in each),
         nodes=account.nodes,
         counts=account.counts,
         last_proposal=account.last_proposal,

@@ -5,7 +5,6 @@ bound up to there holds as it does after every test: methods `rigorous` and `sce
 at one that depends on the outcomes.
 """
 
-from collections.abc import Iterable
 from dataclasses import replace
 
 from ...schemas.file.config import CampaignConfig
@@ -14,12 +13,12 @@ from ...schemas.values import Bound
 from .series import Series
 
 
-def ended(config: CampaignConfig, bound: Bound, rollouts: Iterable[RolloutFact]) -> Bound:
-    """Return the bound after a test with these rollouts, which one of them ends if the campaign seeks a counterexample.
+def ended(config: CampaignConfig, bound: Bound, series: Series) -> Bound:
+    """Return the bound after the last test of a series, whose rollouts end it if the campaign seeks a counterexample.
 
     A method that refutes its own constants says so instead: the counterexample is in the data all the same.
     """
-    if config.until_counterexample and bound.verdict != "refuted" and any(map(_violates, rollouts)):
+    if config.until_counterexample and bound.verdict != "refuted" and any(map(_violates, series.last_rollouts)):
         # A verdict of this test, so that resume, replay and `verify` decide it as they decide those of a method.
         return replace(bound, verdict="counterexample")
     return bound

@@ -2,24 +2,35 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Protocol
 
+from ...schemas.batch import BatchRequest
 from ...schemas.errors import PerfboundError
 from ...schemas.ids import RolloutId
+from ...schemas.result.block_facts import BlockObservationFact, BlockProposalFact
 from ...schemas.result.facts import BoundFact, Header, ObservationFact, ProposalFact
+from ...schemas.trajectory.batch import Batch
 from ...schemas.trajectory.trajectory import Trajectory
 from ...schemas.values import Proposal
 from . import counterexample
 from .assumption_tests import Refutation
 from .methods import Methods
-from .observation import Observer, Others, Trajectories
+from .observation import BatchScores, Load, Observer, Others, Trajectories, is_robustness, observed_block
 from .proposals import proposal_source
-from .seeds import rollout_seed
+from .seeds import rollout_seed, rollout_seeds
 from .series import Account, Series
 
-Follow = Callable[[str, int, Proposal, Callable[[Sequence[float]], Proposal | None]], Proposal]
-"""(problem, test, the source's proposal, the rival at a given start) -> the proposal to take."""
+
+@dataclass(frozen=True, slots=True)
+class Follow:
+    """Where a campaign that is decided again takes its tests from."""
+
+    test: Callable[[str, int, Proposal, Callable[[Sequence[float]], Proposal | None]], Proposal]
+    """(problem, test, the source's proposal, the rival at a given start) -> the proposal to take."""
+    block: Callable[[BlockProposalFact, Callable[[int, Sequence[float]], Proposal | None]], BlockProposalFact]
+    """(the source's proposals, the rival at the start in a place of the block) -> the proposals to take."""
 
 
 UNOBSERVABLE = "; drop the rollout that is at fault with `perfbound discard`, then resume"
@@ -74,7 +85,7 @@ class ProblemDecisions:
             chosen = self._source.propose(series, test)
             if self._follow is not None:
                 # In `verify`: another CPU may have broken a tie otherwise, and the rest follows from that one.
-                chosen = self._follow(problem, test, chosen, partial(self._source.rival, series, test))
+                chosen = self._follow.test(problem, test, chosen, partial(self._source.rival, series, test))
         return ProposalFact(problem, test, chosen)
 
     def observation(self, series: Series, test: int, trajectories: Trajectories) -> ObservationFact:
@@ -88,15 +99,41 @@ class ProblemDecisions:
         """Raise a ValueError if a rollout of an open test allows no observation, alone or with others of the test."""
         self._observer.check(self._plan, rollout[2:], trajectory, others)
 
-    def bound(self, series: Series, fact: ObservationFact) -> BoundFact:
+    @property
+    def needs_scores_alone(self) -> bool:
+        """Whether the observation of a block follows from the recorded scores of its rollouts."""
+        return is_robustness(self._plan)
+
+    def block(self, series: Series, tests: range) -> BlockProposalFact:
+        """Choose the next tests of the problem, whose starts no rollout decides."""
+        problem = self._plan.name
+        with naming(f"problem {problem}, tests {tests.start} to {tests.stop - 1}"):
+            chosen = BlockProposalFact.of(problem, tests.start, *self._source.propose_block(series, tests))
+            if self._follow is None:
+                return chosen
+            return self._follow.block(chosen, partial(self._source.rival_in_block, series))
+
+    def observed_block(self, series: Series, test: int, load: Load) -> BlockObservationFact:
+        """Turn the rollouts of a block, which begins with `test`, into the values of the objective."""
+        proposal, batches = series.blocks[test], series.batches[test]
+        with naming(f"problem {self._plan.name}, tests from {test}", UNOBSERVABLE):
+            found = observed_block(self._observer, self._plan, len(proposal), batches, load)
+        fact = BlockObservationFact.of(self._plan.name, test, *found)
+        return replace(fact, chain=series.next_block_link(proposal, batches, fact))
+
+    def bound(self, series: Series, fact: ObservationFact | BlockObservationFact) -> BoundFact:
         """Give an observation to the method, once, and return the bound after it."""
         with naming(f"problem {fact.problem}, test {fact.test}"):
             bound = self._source.observe(series, fact)
         # Verdicts about this test, not events of the loop, so that the speed of the workers decides nothing.
-        bound = self._refutation.ended(counterexample.ended(self._header.config, bound, series.last_rollouts))
+        bound = self._refutation.ended(counterexample.ended(self._header.config, bound, series))
         # A method has no budget: its own verdict comes first, also at the last test.
-        spent = bound.verdict is None and fact.test + 1 >= self._account.budget
-        return BoundFact(fact.problem, fact.test, bound, budget=spent)
+        spent = bound.verdict is None and len(series.observations) >= self._account.budget
+        return BoundFact(fact.problem, len(series.observations) - 1, bound, budget=spent)
+
+    def seeds(self, first: RolloutId, tests: int, replicates: int) -> list[int]:
+        """Return the seed of every rollout of a batch."""
+        return rollout_seeds(self._header, first, tests, replicates)
 
     def seed(self, rollout: RolloutId) -> int:
         """Return the seed of a rollout."""
@@ -113,6 +150,12 @@ def scores(observer: Observer, rollout: RolloutId, trajectory: Trajectory) -> tu
     """
     with naming(f"rollout {rollout}"):
         return observer.robustness(trajectory), observer.decided_by_tolerance(trajectory), observer.end(trajectory)
+
+
+def scores_of_batch(observer: Observer, request: BatchRequest, batch: Batch) -> BatchScores:
+    """Return what a `BatchFact` says of the trajectories of a batch; one that cannot be scored has failed."""
+    with naming(f"batch {request.rollout}"):
+        return observer.scores_of(batch)
 
 
 @contextmanager

@@ -9,20 +9,31 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ...schemas.errors import IllegalEvent, JournalError, one_line
+import numpy as np
+
+from ...schemas.batch import BatchRequest, batch_request, file_of
+from ...schemas.errors import IllegalEvent, JournalError, one_line, shortened
 from ...schemas.file.config import CampaignConfig
 from ...schemas.ids import RolloutId
+from ...schemas.result.block_facts import (
+    DIGEST,
+    BatchFact,
+    BlockObservationFact,
+    BlockProposalFact,
+    StoredFact,
+    column,
+)
 from ...schemas.result.facts import (
     BoundFact,
     DiscardFact,
     ExtensionFact,
-    Fact,
     ObservationFact,
     ProposalFact,
     RolloutFact,
     first_link,
 )
 from ...schemas.rollout import RolloutRequest
+from ...schemas.trajectory.batch import Batch
 from ...schemas.trajectory.trajectory import Trajectory
 from ..store import files as evidence
 from . import state
@@ -30,7 +41,7 @@ from .closing.checks import ClosingChecks
 from .decisions import Decider, Follow, ProblemDecisions, scores
 from .extension import check_extension
 from .methods import methods
-from .observation import Observer
+from .observation import BatchScores, Observer
 from .plan import plans
 from .ports import FactStore, FileStore, Recorded, RecordedRollouts
 from .restoration import Restoration
@@ -43,6 +54,14 @@ class Work:
 
     wanted: list[RolloutId] = field(default_factory=list)
     unwanted: list[RolloutId] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class Scored:
+    """An admitted batch, with its scores."""
+
+    batch: Batch
+    scores: BatchScores
 
 
 class Ledger:
@@ -66,20 +85,19 @@ class Ledger:
         self.extensions: list[ExtensionFact] = []
         self.series: dict[str, Series] = dict(self.accounts)
         """The accounts of the problems, then the closing checks that have begun."""
-        self.state = state.initial(
-            tuple(state.Plan(name, each.window, each.budget, each.rollouts) for name, each in self.plans.items())
-        )
+        self.state = state.initial(tuple(each.machine for each in self.plans.values()))
         self.observer = Observer(header.config, header.spec)
-        self.deciders: dict[str, Decider] = {
+        self._problems = {
             name: ProblemDecisions(account, header, self.methods, self.observer, follow)
             for name, account in self.accounts.items()
         }
+        self.deciders: dict[str, Decider] = dict(self._problems)
         self._directory, self._store = directory, store
         self.recorded = Recorded(directory, store)
         self.closing = ClosingChecks(header, self.accounts, self.methods, self.observer, self.recorded)
         self._files: FileStore = files or evidence.Batch()
         self._template, self._restoration = header.template, Restoration(directory)
-        self._requests: dict[RolloutId, RolloutRequest] = {}
+        self._requests: dict[RolloutId, RolloutRequest | BatchRequest] = {}
 
     @property
     def done(self) -> bool:
@@ -138,22 +156,37 @@ class Ledger:
         """
         return self._advance(self._write(fact))
 
-    def request(self, rollout: RolloutId) -> RolloutRequest:
-        """Return the request for an open or a damaged rollout."""
+    def request(self, rollout: RolloutId) -> RolloutRequest | BatchRequest:
+        """Return the request for an open or a damaged rollout, or for the batch that it names."""
         found = self._requests.get(rollout)
         if found is None:  # kept: needed when it is assigned, and when its result is admitted
-            fact = self.series[rollout.problem].proposals.get(rollout.test)
+            found = self._requests[rollout] = self._requested(rollout)
+        return found
+
+    def _requested(self, rollout: RolloutId) -> RolloutRequest | BatchRequest:
+        decider, damaged = self.deciders[rollout.problem], self._restoration.batch(rollout)
+        if damaged is not None:
+            return batch_request(self._template, rollout, self._restoration.starts(damaged), damaged.seeds.tolist())
+        series, plan = self.series[rollout.problem], state.plan_of(self.state, rollout.problem)
+        if plan.batch == 1 or rollout in self._restoration:
+            fact = series.proposals.get(rollout.test)
             # A damaged file may belong to a closed test, of which the series keeps sums alone.
             start = fact.proposal.x if fact else self._restoration.start(rollout)
-            found = self._template.request(rollout, start, self.deciders[rollout.problem].seed(rollout))
-            self._requests[rollout] = found
-        return found
+            return self._template.request(rollout, start, decider.seed(rollout))
+        first, tests, replicates = plan.batch_of(rollout)
+        if first != rollout or series.has_begun(
+            first, replicates
+        ):  # it has failed in its batch, and is made again alone
+            tests = replicates = 1
+        starts = [series.start(test) for test in range(rollout.test, rollout.test + tests)]
+        seeds = self._of(rollout).seeds(rollout, tests, replicates)
+        return batch_request(self._template, rollout, starts, seeds)
 
     def restores(self, rollout: RolloutId) -> bool:
         """Whether this rollout has been recorded, and only its file is wanted again."""
         return rollout in self._restoration
 
-    def record(self, rollout: RolloutId, payload: bytes, trajectory: Trajectory, sha256: str) -> Work:
+    def record(self, rollout: RolloutId, payload: bytes, found: Trajectory | Scored, sha256: str) -> Work:
         """Make an admitted result durable and draw its consequences; inside a transaction.
 
         Raises:
@@ -161,19 +194,34 @@ class Ledger:
             OSError: the disk is full.
 
         """
-        seed = self.request(rollout).seed
+        request = self.request(rollout)
         del self._requests[rollout]
         if rollout in self._restoration:
             # No fact: it has been recorded. The campaign continues when the last damaged file is back.
-            self._restoration.restore(rollout, payload, sha256, self._files)
+            self._restoration.restore(rollout, payload, self._files)
+            if rollout in self._restoration:  # a batch, and its first rollout that was made again
+                return Work(wanted=[rollout])
             return Work() if self._restoration else self.outstanding()
         # Before the file: what cannot be scored leaves nothing behind.
-        found = scores(self.observer, rollout, trajectory)
-        path = evidence.relative_path(rollout)
+        path = evidence.relative_path(file_of(request))
+        file = (sha256, len(payload), path)
+        if isinstance(found, Scored):
+            assert isinstance(request, BatchRequest)
+            fact: RolloutFact | BatchFact = _batch_fact(rollout, request, found, file)
+        else:
+            assert isinstance(request, RolloutRequest)
+            fact = RolloutFact(rollout, request.seed, *file, *scores(self.observer, rollout, found))
         self._files.write(evidence.inside(self._directory, path), payload)
         # Its test is observed as soon as the other rollouts of it are there: it is not read back from the disk.
-        self.recorded.keep(rollout, trajectory)
-        return self._advance(self._write(RolloutFact(rollout, seed, sha256, len(payload), path, *found)))
+        if not isinstance(found, Scored):
+            self.recorded.keep(rollout, found)
+        elif state.plan_of(self.state, rollout.problem).block == 1 or not self._of(rollout).needs_scores_alone:
+            assert isinstance(fact, BatchFact)
+            self.recorded.keep_batch(fact, found.batch)
+        return self._advance(self._write(fact))
+
+    def _of(self, rollout: RolloutId) -> ProblemDecisions:
+        return self._problems[rollout.problem]
 
     def _advance(self, actions: Iterable[state.Action]) -> Work:
         """Carry out actions and those that follow from them, until only simulations are left."""
@@ -181,7 +229,7 @@ class Ledger:
         while pending:
             match pending.popleft():
                 case state.Propose(problem, test):
-                    pending.extend(self._write(self.deciders[problem].proposal(self.series[problem], test)))
+                    pending.extend(self._write(self._proposal(problem, test)))
                 case state.Observe(problem, test):
                     pending.extend(self._observe(problem, test))
                 case state.Simulate(rollouts):
@@ -194,23 +242,48 @@ class Ledger:
                     pass  # `done` is true from here on; the caller issues the certificate
         return work
 
+    def _proposal(self, name: str, test: int) -> ProposalFact | BlockProposalFact:
+        plan, series = state.plan_of(self.state, name), self.series[name]
+        if plan.block == 1:
+            return self.deciders[name].proposal(series, test)
+        return self._problems[name].block(series, plan.tests_of(test))
+
     def _observe(self, name: str, test: int) -> tuple[state.Action, ...]:
         series = self.series[name]
+        if test in series.blocks:
+            batches = series.batches[test]
+            self._write(self._problems[name].observed_block(series, test, self.recorded.batch))
+            self.recorded.drop(each.sha256 for each in batches)
+            assert series.due is not None
+            return self._write(series.due)
         # By id: the order of arrival depends on the workers, and an observation must not.
         facts = sorted(series.rollouts[test], key=lambda fact: fact.rollout)
         trajectories = {fact.rollout[2:]: self.recorded.take(fact) for fact in facts}
+        self.recorded.drop({fact.batch for fact in facts})
         self._write(self.deciders[name].observation(series, test, trajectories))
         assert series.due is not None
         return self._write(series.due)
 
-    def _write(self, fact: Fact) -> tuple[state.Action, ...]:
+    def _write(self, fact: StoredFact) -> tuple[state.Action, ...]:
         # Before it is applied: an error there ends the transaction, which takes the row back.
         self._store.add(fact)
         return self._apply(fact)
 
-    def _apply(self, fact: Fact) -> tuple[state.Action, ...]:
+    def _apply(self, fact: StoredFact) -> tuple[state.Action, ...]:
         event: state.Event
         match fact:
+            case BlockProposalFact(problem, test):
+                self.series[problem].blocks[test] = fact
+                event = state.Proposed(problem, test)
+            case BatchFact(rollout):
+                series = self.series[rollout.problem]
+                series.record(fact, state.plan_of(self.state, rollout.problem).batch_of(rollout)[0].test)
+                event = state.Recorded(rollout, fact.failed)
+            case BlockObservationFact(problem):
+                series = self.series[problem]
+                series.observe_block(fact)
+                series.due = self._problems[problem].bound(series, fact)
+                return ()
             case ProposalFact(problem, test):
                 self.series[problem].proposals[test] = fact
                 event = state.Proposed(problem, test)
@@ -235,7 +308,8 @@ class Ledger:
                 event = state.Extended(budgets)
             case BoundFact(problem, test):
                 self.series[problem].bound(fact)
-                event = state.Observed(problem, test, fact.bound.verdict)
+                plan = state.plan_of(self.state, problem)
+                event = state.Observed(problem, plan.first_of(plan.block_of(test)), fact.bound.verdict)
         self.state, actions = state.step(self.state, event)
         # The last observation may withdraw rollouts as well: they come before what the check begins with.
         return (*actions[:-1], *self._begin_check()) if state.Certify() in actions else actions
@@ -251,6 +325,23 @@ class Ledger:
         return actions
 
 
+def _batch_fact(rollout: RolloutId, request: BatchRequest, found: Scored, file: tuple[str, int, str]) -> BatchFact:
+    scores, failures = found.scores, sorted(found.scores.failures.items())
+    nothing = bytes(DIGEST)
+    digests = [nothing if place in scores.failures else each for place, each in enumerate(found.batch.digests())]
+    return BatchFact(
+        rollout,
+        request.replicates,
+        *file,
+        seed_column=column(request.seeds, "<u8"),
+        digest_column=b"".join(digests),
+        robustness_column=b"" if scores.robustness is None else column(scores.robustness),
+        tolerance_column=column(scores.by_tolerance, "?") if scores.by_tolerance.any() else b"",
+        ended_column=column(scores.ended) if not np.isnan(scores.ended).all() else b"",
+        failures=tuple((place, shortened(reason)) for place, reason in failures),
+    )
+
+
 def observed_discards(ledger: Ledger) -> list[DiscardFact]:
     """Return the discarded rollouts of the observed tests, in the order of the series, tests and rollouts."""
     found = [
@@ -258,3 +349,8 @@ def observed_discards(ledger: Ledger) -> list[DiscardFact]:
         for series in ledger.series.values()
     ]
     return [fact for each in found for fact in sorted(each, key=lambda fact: (*fact.rollout[1:], fact.sha256))]
+
+
+def observed_rollouts(ledger: Ledger) -> int:
+    """Return the number of rollouts behind the observations."""
+    return sum(sum(series.counts.values()) for series in ledger.series.values())

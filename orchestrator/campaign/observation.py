@@ -1,27 +1,49 @@
 """The observation of a test: the value y of the maximised objective J and its parts, from the trajectories."""
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import NamedTuple
 from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ...schemas.errors import CampaignError
 from ...schemas.file.config import CampaignConfig
 from ...schemas.file.objectives import OBJECTIVES, replicates_are_robustness
 from ...schemas.file.parts import parts_of
+from ...schemas.ids import RolloutId
+from ...schemas.result.block_facts import BatchFact
 from ...schemas.system import SystemSpec
+from ...schemas.trajectory.batch import Batch
 from ...schemas.trajectory.early_end import end_of
 from ...schemas.trajectory.trajectory import Trajectory
 from ...schemas.values import Observation
 from ..mathematics.bounds.one_law.risk import linearised
 from ..mathematics.stl.parser import Formula, parse_formula
 from ..mathematics.stl.predicates import predicate_sup
-from ..mathematics.stl.robustness import Evaluated
+from ..mathematics.stl.robustness import Evaluated, evaluated_each
 from . import objectives
 from .plan import UNBOUNDED, ProblemPlan
 
+Floats = NDArray[np.float64]
 Trajectories = Mapping[tuple[str, int], Trajectory]
 """(variant, replicate) -> trajectory of one test."""
 Others = Callable[[tuple[str, int]], Iterable[Trajectory]]
 """(variant, replicate) -> the trajectories of the same test that are there for it."""
+
+
+class BatchScores(NamedTuple):
+    """What is recorded of the trajectories of a batch."""
+
+    robustness: Floats | None
+    """Shape (R,), clipped, NaN for a failed rollout; None for a campaign that measures none."""
+    by_tolerance: NDArray[np.bool_]
+    """Whether the tolerance of the time stamps could decide a sign, shape (R,)."""
+    ended: Floats
+    """When each rollout ended before the horizon, in s, shape (R,); NaN for one that did not."""
+    failures: dict[int, str]
+    """Place and reason of each rollout without a score, those without a trajectory included."""
 
 
 class Observer:
@@ -68,6 +90,38 @@ class Observer:
         # A clip of one sign leaves nothing to decide, but changes no word: the sign is that of the specification.
         formulas = ([] if self._parsed is None else [self._parsed]) + self._requirements
         return any(self._evaluated(trajectory, each).by_tolerance for each in formulas)
+
+    def scores_of(self, batch: Batch) -> BatchScores:
+        """Return the scores of a batch: of each rollout those that it has alone."""
+        failures = dict(batch.failures)
+        by_tolerance = np.zeros(len(batch), dtype=np.bool_)
+        ended = np.full(len(batch), math.nan)
+        if self._after_end is not None:
+            for place in batch.succeeded:
+                end = end_of(batch.trajectory(place))
+                ended[place] = math.nan if end is None else end
+        robustness: Floats | None = None
+        for formula in ([] if self._parsed is None else [self._parsed]) + self._requirements:
+            found = evaluated_each(formula, batch.columns, batch.time, batch.values)
+            margins = found.robustness
+            if self._after_end == "fail":
+                share = np.nan_to_num(1.0 - ended / float(batch.time[-1]))
+                margins, marks = np.minimum(margins, -share), found.by_tolerance & (share == 0.0)
+                margins = np.where(share > 0.0, margins, found.robustness)
+            else:
+                marks = found.by_tolerance
+            by_tolerance |= marks
+            for place, fault in found.faults.items():
+                failures.setdefault(place, f"the objective cannot be computed: {fault}")
+            if formula is self._parsed and self._clip is not None:
+                robustness = np.clip(margins, *self._clip)
+                for place in np.flatnonzero(~(np.abs(robustness) <= objectives.LARGEST)).tolist():
+                    failures.setdefault(place, f"the robustness is {robustness[place]:.3g}")
+        failed = list(failures)
+        by_tolerance[failed], ended[failed] = False, math.nan
+        if robustness is not None:
+            robustness[failed] = math.nan
+        return BatchScores(robustness, by_tolerance, ended, failures)
 
     def _evaluated(self, trajectory: Trajectory, formula: Formula) -> Evaluated:
         # Needed when a rollout is checked, when it is recorded, and when its test is observed.
@@ -209,3 +263,81 @@ def of_requirement(plan: ProblemPlan, place: int, observation: Observation) -> O
 
 def _mean(each: list[float]) -> Observation:
     return Observation(objectives.mean(each), tuple(each))
+
+
+# Blocks: the observation of each of their tests, from the batches with its r rollouts
+
+Load = Callable[[BatchFact], Batch]
+"""Reads the trajectories of a batch."""
+
+
+def observed_block(
+    observer: Observer, plan: ProblemPlan, tests: int, batches: Sequence[BatchFact], load: Load
+) -> tuple[Floats, Floats]:
+    """Return y (k,) and the contributions (k, w) of a block of k = `tests` tests; each is what `observe` gives.
+
+    Raises:
+        ValueError: a value is not finite, or two trajectories have different time grids.
+
+    """
+    if is_robustness(plan):
+        return _of_robustness(plan, _by_test(tests, batches))
+    rows = [observer.observe(plan, each) for each in _trajectories(tests, batches, load)]
+    return np.array([row.y for row in rows]), np.array([row.each for row in rows])
+
+
+def is_robustness(plan: ProblemPlan) -> bool:
+    """Whether a test follows from the recorded robustness of its rollouts."""
+    whole = not plan.parts and not plan.requirements and plan.requirement is None
+    return whole and plan.objective.measured == "robustness" and plan.problem.method != "paper"
+
+
+def _of_robustness(plan: ProblemPlan, values: Floats) -> tuple[Floats, Floats]:
+    """Return the observations from robustness (k, r), as `Observer` has them."""
+    problem = plan.problem
+    if plan.candidates is None:
+        y = (values[:, 0] <= 0).astype(np.float64) if plan.sense == "max" else -_means(values)
+        return y, values
+    if plan.objective.risk and (constants := problem.observed_through) is not None:
+        weight, centre, spread = plan.risk_weight, constants.centre, constants.spread
+        each = np.array([[-linearised(value, weight, centre, spread) for value in row] for row in values.tolist()])
+        return _means(each), each
+    if plan.objective.risk or replicates_are_robustness(plan.name, problem.method):
+        return -_means(values), values
+    return _means(-values), -values
+
+
+def _means(values: Floats) -> Floats:
+    """Return the mean of each row (k, r), correctly summed as that of one test."""
+    if values.shape[1] == 1:
+        return values[:, 0]
+    return np.array([math.fsum(row) / len(row) for row in values.tolist()])
+
+
+def _by_test(tests: int, batches: Sequence[BatchFact]) -> Floats:
+    """Return the robustness of the rollouts of each test, shape (k, r), in the order of their numbers."""
+    # One that failed in its batch is in a later batch of its own, with the same test and replicate.
+    first = min(batch.rollout.test for batch in batches)
+    numbers = sorted({batch.rollout.replicate + each for batch in batches for each in range(batch.replicates)})
+    found = np.full((tests, len(numbers)), np.nan)
+    for batch in batches:
+        assert batch.robustness is not None, "its problem is about the robustness"
+        row, place = batch.rollout.test - first, numbers.index(batch.rollout.replicate)
+        there = found[row : row + len(batch.tests), place : place + batch.replicates]
+        values = batch.robustness.reshape(there.shape)
+        np.copyto(there, values, where=batch.succeeded.reshape(there.shape))
+    if not np.isfinite(found).all():
+        raise ValueError("a rollout's value is not a finite number")
+    return found
+
+
+def _trajectories(tests: int, batches: Sequence[BatchFact], load: Load) -> list[dict[tuple[str, int], Trajectory]]:
+    first = min(batch.rollout.test for batch in batches)
+    found: list[dict[RolloutId, Trajectory]] = [{} for _ in range(tests)]
+    for batch in batches:
+        loaded, succeeded = load(batch), batch.succeeded
+        for place, rollout in enumerate(batch.rollouts):
+            if succeeded[place]:
+                found[rollout.test - first][rollout] = loaded.trajectory(place)
+    # By id, as those of a single test.
+    return [{rollout[2:]: each[rollout] for rollout in sorted(each)} for each in found]

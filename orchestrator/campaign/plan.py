@@ -1,12 +1,14 @@
 """The plan of each problem: its parameters before the first test, with every default and option resolved."""
 
 import math
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
 
+from ...schemas.batch import MOST_NUMBERS
 from ...schemas.errors import CampaignError
 from ...schemas.file.config import CampaignConfig
 from ...schemas.file.drawn_claims import SAMPLED, DrawnClaim
@@ -24,6 +26,7 @@ from ..mathematics.gp.lattice import Lattice
 from ..mathematics.gp.points import Points
 from ..mathematics.sobol import sobol_blocks
 from ..mathematics.stl.reach import ANY, Range
+from . import state
 from .clip import hiding, reach_of
 from .region import Start, condition
 from .starts import DIGITS, LEAST_SHARE
@@ -34,6 +37,8 @@ NO_GAP = Gap(kind="robustness")
 """The gap of a problem that compares no trajectories, where nothing reads it."""
 PLANNED_WINDOW = 256
 """Tests in flight where no start depends on a rollout."""
+PLANNED_BLOCKS = 64
+"""Blocks in flight, for the same reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +73,8 @@ class ProblemPlan:
     sense: Sense
     claims: tuple[DrawnClaim, ...] = ()
     """What is claimed of drawn starts, the first claim first; empty where none are drawn."""
+    batch: int = 1
+    """Rollouts of a batch at most."""
     box: bool = False
     """Whether the space is ranges, and listed starts are points of the Sobol sequence in them."""
     deterministic: bool = False
@@ -93,6 +100,21 @@ class ProblemPlan:
     def key(self) -> str:
         """Name of the problem, with that of the requirement behind it where there is one."""
         return self.name if self.requirement is None else f"{self.name}/{self.requirement}"
+
+    @property
+    def machine(self) -> state.Plan:
+        """What the campaign machine needs of it."""
+        block = 1
+        if self.batch > 1 and self.is_planned:
+            replicates = max(Counter(variant for variant, _ in self.rollouts).values())
+            block = max(1, min(self.batch // replicates, MOST_NUMBERS // len(self.parameters)))
+        window = self.window if block == 1 else max(1, min(PLANNED_BLOCKS, self.window))
+        return state.Plan(self.name, window, self.budget, self.rollouts, batch=self.batch, block=block)
+
+    @property
+    def is_planned(self) -> bool:
+        """Whether no start depends on a rollout."""
+        return self.problem.alpha is None and self.falsify is None
 
     @property
     def objective(self) -> Objective:
@@ -264,6 +286,7 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
         shared=frozenset(variants) - set(spec.noisy) if common else frozenset(),
         sense=config.sense_of(problem),
         claims=config.claims_of(problem),
+        batch=config.batch,
         box=isinstance(config.space, dict),
         deterministic=not set(variants) & set(spec.noisy),
         requirements=tuple(each.name for each in config.specifications),

@@ -1,12 +1,14 @@
 """The ports of a ledger: stores of facts and of files, and the recorded rollouts that are read back from them."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Protocol
 
 from ...schemas.ids import RolloutId
-from ...schemas.result.facts import Fact, Header, ProposalFact, RolloutFact
+from ...schemas.result.block_facts import BatchFact, StoredFact
+from ...schemas.result.facts import Header, ProposalFact, RolloutFact
+from ...schemas.trajectory.batch import Batch, BatchFile, read_batch
 from ...schemas.trajectory.trajectory import Trajectory, decode
 from ..store import files as evidence
 
@@ -20,11 +22,11 @@ class FactStore(Protocol):
         """Make all facts added inside durable together."""
         ...
 
-    def add(self, fact: Fact) -> None:
+    def add(self, fact: StoredFact) -> None:
         """Write one fact."""
         ...
 
-    def facts(self) -> Iterator[Fact]:
+    def facts(self) -> Iterator[StoredFact]:
         """Yield all facts in their order."""
         ...
 
@@ -40,8 +42,8 @@ class FactStore(Protocol):
 class RecordedRollouts(Protocol):
     """The recorded rollouts of a campaign, of which a resume checks the files."""
 
-    def recorded(self) -> list[RolloutFact]:
-        """Return all recorded rollouts, the newest first."""
+    def recorded(self) -> list[RolloutFact | BatchFact]:
+        """Return all recorded rollouts and batches, the newest first."""
         ...
 
     def proposal(self, problem: str, test: int) -> ProposalFact:
@@ -75,10 +77,23 @@ class Recorded:
     def __init__(self, directory: Path, store: FactStore) -> None:
         self._directory, self._store = directory, store
         self._kept: dict[RolloutId, Trajectory] = {}
+        self._batches: dict[str, tuple[BatchFact, Batch]] = {}
+        """By the digests of their files."""
+        self._file: tuple[str, BatchFile] | None = None
+        """The batch that was read last, by the digest of its file: its rollouts are read one after the other."""
 
     def keep(self, rollout: RolloutId, trajectory: Trajectory) -> None:
         """Keep the trajectory of a rollout until its test is observed."""
         self._kept[rollout] = trajectory
+
+    def keep_batch(self, fact: BatchFact, batch: Batch) -> None:
+        """Keep a batch until its block is observed, or its rollouts until their tests are."""
+        self._batches[fact.sha256] = fact, batch
+
+    def drop(self, files: Iterable[str]) -> None:
+        """Forget batches, by the digests of their files: what they have is observed."""
+        for sha256 in files:
+            self._batches.pop(sha256, None)
 
     def kept(self, fact: RolloutFact) -> Trajectory:
         """Return the trajectory of a rollout of an open test; it stays in memory."""
@@ -101,4 +116,19 @@ class Recorded:
 
     def read(self, fact: RolloutFact) -> Trajectory:
         """Return the trajectory that a fact names."""
-        return decode(evidence.read_evidence(self._directory, fact.path, fact.sha256))
+        if not fact.batch:
+            return decode(evidence.read_evidence(self._directory, fact.path, fact.sha256))
+        if fact.batch in self._batches:
+            kept, batch = self._batches[fact.batch]
+            return batch.trajectory(kept.rollouts.index(fact.rollout))
+        if self._file is None or self._file[0] != fact.batch:
+            data = evidence.read_evidence(self._directory, fact.path, fact.batch)
+            self._file = fact.batch, read_batch(data)
+        file = self._file[1]
+        return file.batch.trajectory(file.place(fact.rollout))
+
+    def batch(self, fact: BatchFact) -> Batch:
+        """Return the batch that a fact names."""
+        if fact.sha256 in self._batches:
+            return self._batches[fact.sha256][1]
+        return read_batch(evidence.read_evidence(self._directory, fact.path, fact.sha256)).batch

@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from ...schemas.file.problem_models import Falsify
+from ...schemas.result.block_facts import BlockObservationFact, Floats, Integers
 from ...schemas.result.facts import Header, ObservationFact
 from ...schemas.values import Bound, Proposal
 from ..mathematics.bounds.sample import SampleMethod
@@ -31,7 +32,15 @@ class ProposalSource(Protocol):
         """Return the proposal of `x` (p,) if another CPU, which rounds differently, could have chosen it."""
         ...
 
-    def observe(self, series: Series, fact: ObservationFact) -> Bound:
+    def propose_block(self, series: Series, tests: range) -> tuple[Integers, Floats]:
+        """Return nodes (k,) and starts (k, p) of the next tests, which no observation decides; it changes nothing."""
+        ...
+
+    def rival_in_block(self, series: Series, place: int, x: Sequence[float]) -> Proposal | None:
+        """Return the proposal of `x` (p,) in a place of the next block, as `rival` does."""
+        ...
+
+    def observe(self, series: Series, fact: ObservationFact | BlockObservationFact) -> Bound:
         """Take the observation of the test that the series closed last, once, and return the bound after it."""
         ...
 
@@ -58,9 +67,28 @@ class MethodSource:
         """Return the proposal of `x` (p,); the first test is drawn by the seed alone and has none."""
         return self._method.rival(x, _nodes(series)) if test else None
 
-    def observe(self, series: Series, fact: ObservationFact) -> Bound:
+    def propose_block(self, series: Series, tests: range) -> tuple[Integers, Floats]:
+        """Return the next tests."""
+        flying = _nodes(series)
+        found = []
+        for _ in tests:
+            found.append(self._method.propose(None, flying))
+            flying.append(found[-1].node)
+        return np.array([each.node for each in found], dtype=np.int64), np.array([each.x for each in found])
+
+    def rival_in_block(self, series: Series, place: int, x: Sequence[float]) -> Proposal | None:
+        """Return the proposal of `x` (p,): in a block no test depends on which others are in flight."""
+        return self._method.rival(x, [*_nodes(series), *[0] * place])
+
+    def observe(self, series: Series, fact: ObservationFact | BlockObservationFact) -> Bound:
         """Give the observation to the method."""
         assert series.last_proposal is not None
+        if isinstance(fact, BlockObservationFact):
+            nodes, bound = series.nodes[-len(fact) :], None
+            for node, each in zip(nodes, fact.each(), strict=True):
+                bound = self._method.observe(Proposal(node, (), None, None, None, None), each.observation)
+            assert bound is not None
+            return bound
         return self._method.observe(series.last_proposal, fact.observation)
 
 
@@ -111,10 +139,19 @@ class SearchSource:
             return None
         return Proposal(own.node if node is None else node, nearest, None, None, None, None)
 
-    def observe(self, series: Series, fact: ObservationFact) -> Bound:
+    def propose_block(self, series: Series, tests: range) -> tuple[Integers, Floats]:
+        """Raise: a search chooses each test from those before it."""
+        raise NotImplementedError
+
+    def rival_in_block(self, series: Series, place: int, x: Sequence[float]) -> Proposal | None:
+        """Raise, as `propose_block` does."""
+        raise NotImplementedError
+
+    def observe(self, series: Series, fact: ObservationFact | BlockObservationFact) -> Bound:
         """Give the worst robustness of the test to the search, and the observation to the method if it is evidence."""
         proposal = series.last_proposal
         assert proposal is not None
+        assert isinstance(fact, ObservationFact)
         # The worst, not the mean: one rollout below 0 is the counterexample.
         worst = min((each.robustness for each in series.last_rollouts if each.robustness is not None), default=math.inf)
         self._search.observe(proposal.x, max(-sys.float_info.max, min(worst, sys.float_info.max)))
@@ -130,7 +167,8 @@ class SearchSource:
 
 def _nodes(series: Series) -> list[int]:
     # Tests in flight: a method counts them as observed, so that a window > 1 does not repeat one start.
-    return [fact.proposal.node for fact in series.proposals.values()]
+    blocks = [node for block in series.blocks.values() for node in block.nodes.tolist()]
+    return [fact.proposal.node for fact in series.proposals.values()] + blocks
 
 
 def _open_starts(series: Series) -> list[Start]:

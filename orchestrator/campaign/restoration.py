@@ -1,11 +1,14 @@
 """The restoration of trajectory files that a crash of the machine damaged: the same seed gives the same file."""
 
+import hashlib
 from collections.abc import Iterable
 from pathlib import Path
 
 from ...schemas.errors import PerfboundError
 from ...schemas.ids import RolloutId
+from ...schemas.result.block_facts import BatchFact
 from ...schemas.result.facts import RolloutFact
+from ...schemas.trajectory.batch import with_failures
 from ..store import files as evidence
 from .ports import FileStore, RecordedRollouts
 
@@ -26,7 +29,7 @@ class Restoration:
         `discarded` are the paths of the files that discards have kept.
         """
         self._directory = directory
-        self._damaged: dict[RolloutId, RolloutFact] = {}
+        self._damaged: dict[RolloutId, list[RolloutFact | BatchFact]] = {}
         self._starts: dict[tuple[str, int], tuple[float, ...]] = {}
         if recorded is None:
             return
@@ -35,33 +38,54 @@ class Restoration:
         evidence.sweep(directory, {fact.path for fact in facts}.union(discarded))
         listed = ((fact.path, fact.size, fact.sha256) for fact in facts)
         paths = set(evidence.damaged(directory, listed, digests=None if whole else evidence.NEWEST))
-        self._damaged = {fact.rollout: fact for fact in facts if fact.path in paths}
-        tests = {rollout[:2] for rollout in self._damaged}
+        for fact in facts:
+            if fact.path in paths:
+                self._damaged.setdefault(fact.rollout, []).append(fact)
+        tests = {
+            (fact.rollout.problem, test)
+            for each in self._damaged.values()
+            for fact in each
+            for test in (fact.tests if isinstance(fact, BatchFact) else (fact.rollout.test,))
+        }
         self._starts = {test: recorded.proposal(*test).proposal.x for test in tests}
 
     def __len__(self) -> int:
-        return len(self._damaged)
+        return sum(map(len, self._damaged.values()))
 
     def __contains__(self, rollout: RolloutId) -> bool:
         return rollout in self._damaged
 
     @property
     def wanted(self) -> list[RolloutId]:
-        """Every rollout that is to be simulated again."""
+        """Every rollout, or the first one of every batch, that is to be simulated again."""
         return sorted(self._damaged)
 
     def start(self, rollout: RolloutId) -> tuple[float, ...]:
         """Return the start of a damaged rollout, whose test may be closed."""
         return self._starts[rollout[:2]]
 
-    def restore(self, rollout: RolloutId, payload: bytes, sha256: str, files: FileStore) -> None:
+    def batch(self, rollout: RolloutId) -> BatchFact | None:
+        """Return the damaged batch that begins with a rollout, if there is one."""
+        found = self._damaged.get(rollout, [None])[0]
+        return found if isinstance(found, BatchFact) else None
+
+    def starts(self, batch: BatchFact) -> list[tuple[float, ...]]:
+        """Return the start of each test of a damaged batch."""
+        return [self._starts[batch.rollout.problem, test] for test in batch.tests]
+
+    def restore(self, rollout: RolloutId, payload: bytes, files: FileStore) -> None:
         """Write a damaged file again.
 
         Raises:
             PerfboundError: the new bytes are not the recorded ones.
 
         """
-        fact = self._damaged[rollout]
+        fact = self._damaged[rollout][0]
+        sha256 = hashlib.sha256(payload).hexdigest()
+        if sha256 != fact.sha256 and isinstance(fact, BatchFact) and fact.failures:
+            # Rollouts that failed then may succeed now: the recorded file has zeros and the reason in their places.
+            payload = with_failures(payload, dict(fact.failures))
+            sha256 = hashlib.sha256(payload).hexdigest()
         # The chain has the recorded digest: other bytes would make the evidence contradict the certificate.
         if sha256 != fact.sha256:
             raise PerfboundError(
@@ -71,4 +95,6 @@ class Restoration:
                 "restore the file from a copy"
             )
         files.write(evidence.inside(self._directory, fact.path), payload)
-        del self._damaged[rollout]
+        del self._damaged[rollout][0]
+        if not self._damaged[rollout]:
+            del self._damaged[rollout]

@@ -6,9 +6,11 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 
+from ...schemas.batch import batch_rollouts
 from ...schemas.ids import RECHECK, RISK_CHECK, SPOT_CHECK, RolloutId, check_of_extension
 from ...schemas.ranges import SEED_BITS
 from ...schemas.result.facts import Header
+from ..mathematics.seed_words import first_states
 
 Floats = NDArray[np.float64]
 VARIANTS = ("nominal", "true")
@@ -22,6 +24,18 @@ def rollout_seed(header: Header, rollout: RolloutId) -> int:
     state = _sequence(header, rollout.problem, *place).generate_state(1, np.uint64)
     # 53 bits: every JSON reader keeps such a number exactly.
     return int(state[0] >> np.uint64(11))
+
+
+def rollout_seeds(header: Header, first: RolloutId, tests: int, replicates: int) -> list[int]:
+    """Return the seed of every rollout of a batch, see `batch_rollouts`: each is that of `rollout_seed`."""
+    if header.spec.seed_bits < SEED_BITS:
+        return [rollout_seed(header, rollout) for rollout in batch_rollouts(first, tests, replicates)]
+    numbers = np.repeat(np.arange(first.test, first.test + tests, dtype=np.uint32), replicates)
+    places = np.tile(np.arange(first.replicate, first.replicate + replicates, dtype=np.uint32), tests)
+    variants = np.full(numbers.shape, VARIANTS.index(first.variant), dtype=np.uint32)
+    entropy = header.config.seed, int(header.config_sha256, 16)
+    found = first_states(entropy, [zlib.crc32(first.problem.encode())], [numbers, variants, places])
+    return [int(each) for each in found >> np.uint64(11)]
 
 
 def first_node(header: Header, problem: str, size: int) -> int:

@@ -1,15 +1,28 @@
 """The tests of a problem: open ones by number, sums over closed ones, and what the audit needs of rollouts."""
 
 import hashlib
+import itertools
 import math
 from array import array
-from collections.abc import Iterable, MutableSequence
+from collections.abc import Iterable, MutableSequence, Sequence
 from dataclasses import dataclass, field, replace
+from typing import overload
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ...schemas.base import canonical_json
 from ...schemas.errors import IllegalEvent
 from ...schemas.file.problem_models import KernelProblem
 from ...schemas.ids import RolloutId
+from ...schemas.result.block_facts import (
+    BatchFact,
+    BlockObservationFact,
+    BlockProposalFact,
+    block_files_link,
+    each_rollout,
+    next_block_link,
+)
 from ...schemas.result.facts import (
     BoundFact,
     DiscardFact,
@@ -42,6 +55,41 @@ class Remarked:
         self.first = self.first or next(iter(found), None)
 
 
+class Rows(Sequence[tuple[float, ...]]):
+    """Rows of numbers, which take 8 bytes each and 8 a row."""
+
+    def __init__(self, rows: Iterable[Sequence[float]] = ()) -> None:
+        self._values, self._ends = array("d"), array("q", [0])
+        for row in rows:
+            self.append(row)
+
+    def append(self, row: Sequence[float]) -> None:
+        """Add one row."""
+        self._values.extend(row)
+        self._ends.append(len(self._values))
+
+    def extend(self, rows: NDArray[np.float64]) -> None:
+        """Add the rows of an array (k, w)."""
+        first, width = len(self._values), rows.shape[1]
+        self._values.frombytes(np.ascontiguousarray(rows).tobytes())
+        self._ends.extend(range(first + width, first + rows.size + 1, width) if width else [first] * len(rows))
+
+    def __len__(self) -> int:
+        return len(self._ends) - 1
+
+    @overload
+    def __getitem__(self, place: int) -> tuple[float, ...]: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> list[tuple[float, ...]]: ...
+
+    def __getitem__(self, place: int | slice) -> tuple[float, ...] | list[tuple[float, ...]]:
+        if isinstance(place, slice):
+            return [self[each] for each in range(*place.indices(len(self)))]
+        place = range(len(self))[place]
+        return tuple(self._values[self._ends[place] : self._ends[place + 1]])
+
+
 @dataclass(slots=True)
 class Series:
     """The facts of the tests of one problem, or of one check: whole while a test is open, and summed up afterwards.
@@ -56,19 +104,22 @@ class Series:
     """The head of a second chain, over the rollouts alone: unlike `link` it is the same on every CPU."""
     proposals: dict[int, ProposalFact] = field(default_factory=dict)
     rollouts: dict[int, list[RolloutFact]] = field(default_factory=dict)
+    blocks: dict[int, BlockProposalFact] = field(default_factory=dict)
+    """Open ones, by their first tests; a series has tests or blocks."""
+    batches: dict[int, list[BatchFact]] = field(default_factory=dict)
     discards: list[DiscardFact] = field(default_factory=list)
     """Of all tests: they are few."""
     observations: MutableSequence[float] = field(default_factory=lambda: array("d"))
-    each: list[tuple[float, ...]] = field(default_factory=list)
-    nodes: list[int] = field(default_factory=list)
+    each: Rows = field(default_factory=Rows)
+    nodes: MutableSequence[int] = field(default_factory=lambda: array("q"))
     by_tolerance: Remarked = field(default_factory=Remarked)
     """Rollouts whose sign the tolerance around time stamps could decide."""
     ended: Remarked = field(default_factory=Remarked)
     """Rollouts that ended before the horizon."""
     counts: dict[str, int] = field(default_factory=lambda: {"nominal": 0, "true": 0})
     last_proposal: Proposal | None = None
-    last_rollouts: list[RolloutFact] = field(default_factory=list)
-    """Of the test that was observed last."""
+    last_facts: Sequence[RolloutFact | BatchFact] = ()
+    """Of the test, or the block, that was observed last."""
     due: BoundFact | None = None
     """The bound that follows from the last observation, until its fact is there."""
     last_bound: BoundFact | None = None
@@ -76,6 +127,11 @@ class Series:
     """As in `ProblemProgress`."""
     budgets: list[int] = field(default_factory=list)
     """Tests at most after each extension of the campaign that this series has part in."""
+
+    @property
+    def last_rollouts(self) -> list[RolloutFact]:
+        """The rollouts of the test, or the block, that was observed last."""
+        return [rollout for fact in self.last_facts for rollout in each_rollout(fact)]
 
     @property
     def progress(self) -> ProblemProgress:
@@ -91,6 +147,27 @@ class Series:
             tuple(self.course),
         )
 
+    def record(self, fact: BatchFact, first: int) -> None:
+        """Take a recorded batch of the open test, or block, that begins with a test."""
+        if first in self.blocks:
+            self.batches.setdefault(first, []).append(fact)
+        else:
+            self.rollouts.setdefault(first, []).extend(fact.each())
+
+    def has_begun(self, first: RolloutId, replicates: int) -> bool:
+        """Whether the batch of an open test, or block, that begins with `first` is recorded, also if `first` failed."""
+        # Of a batch at least one rollout has a trajectory; retries come after it.
+        facts = self.batches.get(first.test) or self.rollouts.get(first.test, [])
+        numbers = range(first.replicate, first.replicate + replicates)
+        return any(each.rollout.variant == first.variant and each.rollout.replicate in numbers for each in facts)
+
+    def start(self, test: int) -> tuple[float, ...]:
+        """Return the start of an open test."""
+        if test in self.proposals:
+            return self.proposals[test].proposal.x
+        block = next(each for each in self.blocks.values() if each.test <= test < each.test + len(each))
+        return block.of_test(test).proposal.x
+
     def next_link(self, test: int, observation: Observation) -> str:
         """Return the head of the hash chain after the observation of an open test."""
         discards = [fact for fact in self.discards if fact.rollout.test == test]
@@ -103,7 +180,7 @@ class Series:
         if self.next_link(fact.test, found) != fact.chain:
             raise IllegalEvent(f"test {fact.test} of {fact.problem} was changed after it was written (hash chain)")
         self.last_proposal = self.proposals.pop(fact.test).proposal
-        rollouts = self.last_rollouts = self.rollouts.pop(fact.test, [])
+        rollouts = self.last_facts = self.rollouts.pop(fact.test, [])
         self.link = fact.chain
         self.files = _files_link(self.files, rollouts)
         self.observations.append(found.y)
@@ -115,6 +192,35 @@ class Series:
         self.ended.add(each.rollout for each in rollouts if each.ended is not None)
         return rollouts
 
+    def observe_block(self, fact: BlockObservationFact) -> list[BatchFact]:
+        """Close an observed block, as `observe` closes a test; return its batches."""
+        proposal, batches = self.blocks.pop(fact.test), self.batches.pop(fact.test, [])
+        if self.next_block_link(proposal, batches, fact) != fact.chain:
+            raise IllegalEvent(
+                f"tests {fact.test} to {fact.test + len(fact) - 1} of {fact.problem} were changed after they were "
+                "written (hash chain)"
+            )
+        self.last_proposal, self.last_facts = proposal.of_test(fact.test + len(fact) - 1).proposal, batches
+        self.link, self.files = fact.chain, block_files_link(self.files, batches)
+        self.observations.extend(fact.y.tolist())
+        self.each.extend(fact.contributions)
+        self.nodes.extend(proposal.nodes.tolist())
+        for batch in batches:
+            kept = batch.succeeded
+            self.counts[batch.rollout.variant] += int(kept.sum())
+            for marks, remarked in ((batch.by_tolerance, self.by_tolerance), (~np.isnan(batch.ended), self.ended)):
+                if (marked := marks & kept).any():
+                    remarked.add(itertools.compress(batch.rollouts, marked))
+        return batches
+
+    def next_block_link(
+        self, proposal: BlockProposalFact, batches: list[BatchFact], observation: BlockObservationFact
+    ) -> str:
+        """Return the head of the hash chain after the observation of an open block."""
+        tests = range(proposal.test, proposal.test + len(proposal))
+        discards = [fact for fact in self.discards if fact.rollout.test in tests]
+        return next_block_link(self.link, proposal, batches, observation, discards)
+
     def bound(self, fact: BoundFact) -> None:
         """Take the bound after an observation; it is the one that is due."""
         due, self.due = self.due, None
@@ -123,10 +229,11 @@ class Series:
             raise IllegalEvent(
                 f"the bound after test {fact.test} of {fact.problem} is not the one that follows from the observations"
             )
+        before, tests = 0 if self.last_bound is None else self.last_bound.test + 1, fact.test + 1
         self.last_bound = fact
-        if fact.bound.upper is not None and fact.test + 1 in MARKED:
+        if fact.bound.upper is not None and not MARKED.isdisjoint(range(before + 1, tests + 1)):
             last_f = self.last_proposal.F if self.last_proposal else None
-            self.course.append((fact.test + 1, fact.bound.upper, distance_after(fact.bound, last_f)))
+            self.course.append((tests, fact.bound.upper, distance_after(fact.bound, last_f)))
 
 
 def _files_link(link: str, rollouts: list[RolloutFact]) -> str:
@@ -179,6 +286,23 @@ class Account(Series):
             self.budgets.append(budget)
             # The bound stays as it is, but is no end any more.
             self.last_bound = replace(self.last_bound, budget=False) if self.last_bound else None
+
+    def observe_block(self, fact: BlockObservationFact) -> list[BatchFact]:
+        """Close an observed block, as every series does, and take the robustness of its rollouts."""
+        proposal = self.blocks[fact.test]
+        batches = Series.observe_block(self, fact)
+        if isinstance(self.plan.problem, KernelProblem):
+            self.proposed.extend(each.proposal for each in proposal.each())
+        if self.plan.objective.measured == "gap":
+            by_test: dict[int, dict[tuple[str, int], float]] = {}
+            for each in self.last_rollouts:
+                by_test.setdefault(each.rollout.test, {})[each.rollout[2:]] = each.robustness or 0.0
+            for test, gaps in enumerate(fact.contributions.tolist(), start=fact.test):
+                self.excess = max(self.excess, objectives.excess(self.plan, by_test[test], gaps))
+        for batch in batches:
+            if batch.robustness is not None:
+                self.robustness.extend(batch.robustness[batch.succeeded].tolist())
+        return batches
 
     def observe(self, fact: ObservationFact) -> list[RolloutFact]:
         """Close an observed test, as every series does, and take the robustness of its rollouts."""

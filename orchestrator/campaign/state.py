@@ -28,8 +28,13 @@ answered never does. This table lists every legal transition of a problem:
     answered   -                                -
 
 The state contains the open tests; closed ones are a counter, so that a step costs the same at the end of a campaign.
+
+Batches. Where a plan has `batch` > 1, every "test" above is a block: consecutive tests that are proposed, observed and
+closed together, named by the first of them. Its rollouts are requested in batches, each named by its first rollout. A
+batch is recorded with the rollouts in it that have failed, and the block waits for these one by one.
 """
 
+import itertools
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -70,6 +75,59 @@ class Plan:
     """A number of tests, and the rollouts of every test after them, where these have others."""
     variants: tuple[str, ...] = ()
     """The variant of the one rollout of each test, where the tests differ in it."""
+    batch: int = 1
+    """Rollouts in a batch at most."""
+    block: int = 1
+    """Tests in a block; the last one may have fewer."""
+    origin: tuple[int, int] = (0, 0)
+    """A block and its first test, from which on blocks are whole: the last one before an extension may be shorter."""
+
+    @property
+    def blocks(self) -> int:
+        """The number of blocks."""
+        return self.origin[0] - (self.origin[1] - self.max_tests) // self.block
+
+    def block_of(self, test: int) -> int:
+        """Return the block of a test."""
+        before, first = self.origin
+        # An earlier one is closed: which block exactly, nothing asks any more.
+        return before + (test - first) // self.block if test >= first else min(test // self.block, before - 1)
+
+    def tests_of(self, first: int) -> range:
+        """Return the tests of the block that begins with a test."""
+        return range(first, min(first + self.block, self.max_tests))
+
+    def first_of(self, block: int) -> int:
+        """Return the first test of a block that is not closed."""
+        return self.origin[1] + (block - self.origin[0]) * self.block
+
+    def batches(self, first: int) -> tuple[RolloutId, ...]:
+        """Return the first rollout of each batch of a block, in the order of the plan."""
+        rollouts = self.rollouts_of(first)
+        if self.batch > 1:
+            # A batch has one variant, and where it has several tests all their replicates.
+            by_variant = [list(each) for _, each in itertools.groupby(rollouts, key=lambda rollout: rollout[0])]
+            rollouts = tuple(rollout for each in by_variant for rollout in each[:: self.batch])
+        return tuple(RolloutId(self.problem, first, variant, replicate) for variant, replicate in rollouts)
+
+    def batch_of(self, rollout: RolloutId) -> tuple[RolloutId, int, int]:
+        """Return the batch with a rollout of an open block: its first rollout, its tests, and the replicates of each.
+
+        Of a plan without batches it is the rollout alone.
+        """
+        if self.batch == 1:
+            return rollout, 1, 1
+        first = self.first_of(self.block_of(rollout.test))
+        same = [replicate for variant, replicate in self.rollouts_of(first) if variant == rollout.variant]
+        place = same.index(rollout.replicate) // self.batch * self.batch
+        numbers = same[place : place + self.batch]
+        tests = len(self.tests_of(first))
+        return RolloutId(self.problem, first, rollout.variant, numbers[0]), tests, len(numbers)
+
+    def extended(self, max_tests: int) -> "Plan":
+        """Return the plan with more tests."""
+        # The next block begins where the tests before have ended, so that none of those changes.
+        return replace(self, max_tests=max_tests, origin=(self.blocks, self.max_tests))
 
     def rollouts_of(self, test: int) -> tuple[tuple[str, int], ...]:
         """Return (variant, replicate) of every rollout of one test."""
@@ -94,7 +152,7 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class OpenTest:
-    """A test that is proposed and not yet observed."""
+    """A test, or a block of tests, that is proposed and not yet observed; `test` is the first of them."""
 
     test: int
     missing: frozenset[RolloutId]
@@ -107,7 +165,7 @@ class OpenTest:
 
 @dataclass(frozen=True, slots=True)
 class ProblemState:
-    """The open tests of a problem, the number of closed ones, and the reason of its end."""
+    """The open tests of a problem, the number of closed ones, and the reason of its end; or those of its blocks."""
 
     plan: Plan
     observed: int = 0
@@ -130,15 +188,16 @@ class ProblemState:
     def may_propose(self) -> bool:
         """Whether the next test may be proposed from the observations so far."""
         # Rule 2: a test in flight keeps its place in the window until it is observed, not until it is complete.
-        room = self.proposed < min(self.observed + self.plan.window, self.plan.max_tests)
+        room = self.proposed < min(self.observed + self.plan.window, self.plan.blocks)
         return self.stopped_by is None and room
 
     def phase(self, test: int) -> Phase:
         """Return the phase of one test."""
+        block = self.plan.block_of(test)
         # Rule 3: withdrawn tests count as closed, so that a rollout that arrives late is ignored.
-        if test < self.observed or (self.stopped_by is not None and test < self.proposed):
+        if block < self.observed or (self.stopped_by is not None and block < self.proposed):
             return "closed"
-        return self.open[test - self.observed].phase if test < self.proposed else "absent"
+        return self.open[block - self.observed].phase if block < self.proposed else "absent"
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,9 +222,10 @@ class Proposed:
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """A rollout's trajectory is durable."""
+    """A rollout's trajectory is durable, or those of a batch but for the `failed` ones."""
 
     rollout: RolloutId
+    failed: tuple[RolloutId, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,8 +342,7 @@ def _extend(state: State, event: Extended) -> tuple[State, tuple[Action, ...]]:
             raise IllegalEvent(f"{event} is not allowed: {name} is {problem.standing}")
         if max_tests <= problem.plan.max_tests:
             raise IllegalEvent(f"{event} is not allowed: {name} had {problem.plan.max_tests} tests")
-        plan = replace(problem.plan, max_tests=max_tests)
-        problems[index] = replace(problem, plan=plan, stopped_by=None)
+        problems[index] = replace(problem, plan=problem.plan.extended(max_tests), stopped_by=None)
     extended = State(tuple(problems))
     return extended, outstanding(extended)
 
@@ -306,11 +365,11 @@ def _due(problem: ProblemState) -> tuple[Action, ...]:
 
 def _propose(problem: ProblemState, event: Proposed) -> tuple[ProblemState, tuple[Action, ...]]:
     # Rules 1 to 3: the next number, room in the window and the budget, no stop before.
-    if event.test != problem.proposed or not problem.may_propose:
+    if event.test != problem.plan.first_of(problem.proposed) or not problem.may_propose:
         raise IllegalEvent(f"{event} is not allowed: {problem.observed} tests observed, {problem.proposed} proposed")
-    opened = OpenTest(event.test, frozenset(_rollouts(problem.plan, event.test)))
-    problem = replace(problem, open=(*problem.open, opened))
-    return problem, (Simulate(_rollouts(problem.plan, event.test)), *_next(problem))
+    batches = problem.plan.batches(event.test)
+    problem = replace(problem, open=(*problem.open, OpenTest(event.test, frozenset(batches))))
+    return problem, (Simulate(batches), *_next(problem))
 
 
 def _record(problem: ProblemState, event: Recorded) -> tuple[ProblemState, tuple[Action, ...]]:
@@ -320,23 +379,24 @@ def _record(problem: ProblemState, event: Recorded) -> tuple[ProblemState, tuple
     # At-least-once delivery: a rollout of a complete or closed test may arrive again, and changes nothing.
     if problem.phase(test) != "running":
         return problem, ()
-    position = test - problem.observed
+    position = problem.plan.block_of(test) - problem.observed
     before = problem.open[position]
-    after = OpenTest(test, before.missing - {event.rollout})
+    after = OpenTest(before.test, (before.missing - {event.rollout}).union(event.failed))
     problem = replace(problem, open=(*problem.open[:position], after, *problem.open[position + 1 :]))
+    retries = (Simulate(event.failed),) if event.failed else ()
     # Rule 1: only the oldest open test may be observed; a younger one waits for its turn.
     completed = position == 0 and before.missing and not after.missing
-    return problem, _next(problem) if completed and not problem.may_propose else ()
+    return problem, (*retries, *_next(problem)) if completed and not problem.may_propose else retries
 
 
 def _observe(problem: ProblemState, event: Observed) -> tuple[ProblemState, tuple[Action, ...]]:
     # Rule 2: a proposal that is due comes first, or z would depend on one observation more than in another run.
-    if event.test != problem.observed or problem.may_propose:
-        due = f"test {problem.observed} is to be observed" if event.test != problem.observed else "a proposal is due"
+    if event.test != (first := problem.open[0].test) or problem.may_propose:
+        due = f"test {first} is to be observed" if event.test != first else "a proposal is due"
         raise IllegalEvent(f"{event} is not allowed: {due} before it")
     problem = replace(problem, observed=problem.observed + 1, open=problem.open[1:])
     # The verdict comes before the budget: a bound that converges with the last test has converged.
-    if event.verdict is not None or problem.observed >= problem.plan.max_tests:
+    if event.verdict is not None or problem.observed >= problem.plan.blocks:
         stopped = replace(problem, stopped_by=event.verdict or "budget")
         left = tuple(rollout for test in problem.open for rollout in _missing(problem.plan, test))
         return stopped, (Withdraw(left),) if left else ()
@@ -347,19 +407,21 @@ def _next(problem: ProblemState) -> tuple[Action, ...]:
     """Return the one thing that a problem waits for: a proposal, else the observation of its oldest test."""
     # The order of rule 2.
     if problem.may_propose:
-        return (Propose(problem.plan.problem, problem.proposed),)
+        return (Propose(problem.plan.problem, problem.plan.first_of(problem.proposed)),)
     if problem.open and not problem.open[0].missing:
         return (Observe(problem.plan.problem, problem.open[0].test),)
     return ()
 
 
-def _rollouts(plan: Plan, test: int) -> tuple[RolloutId, ...]:
-    return tuple(RolloutId(plan.problem, test, variant, replicate) for variant, replicate in plan.rollouts_of(test))
-
-
 def _missing(plan: Plan, test: OpenTest) -> tuple[RolloutId, ...]:
     # In the order of the plan: the order of a set differs from run to run.
-    return tuple(rollout for rollout in _rollouts(plan, test.test) if rollout in test.missing)
+    order = {rollout: place for place, rollout in enumerate(plan.batches(test.test))}
+    return tuple(sorted(test.missing, key=lambda rollout: (order.get(rollout, len(order)), rollout)))
+
+
+def plan_of(state: State, name: str) -> Plan:
+    """Return the plan of a problem or a check, with its extensions."""
+    return state.problems[_index(state, name)].plan
 
 
 def _index(state: State, name: str) -> int:
@@ -372,9 +434,12 @@ def _index(state: State, name: str) -> int:
 def assert_invariants(state: State) -> None:
     """Assert the invariants of the state; tests call it after every step."""
     for problem in state.problems:
-        numbers = [test.test for test in problem.open]
+        plan = problem.plan
+        numbers = [plan.block_of(test.test) for test in problem.open]
         assert numbers == list(range(problem.observed, problem.proposed)), "open tests are consecutive"
+        assert [test.test for test in problem.open] == list(map(plan.first_of, numbers)), "named by their first tests"
         assert len(problem.open) <= problem.plan.window, "no more tests in flight than the window"
-        assert problem.proposed <= problem.plan.max_tests, "no more tests than the budget"
+        assert problem.proposed <= plan.blocks, "no more tests than the budget"
         for test in problem.open:
-            assert test.missing <= set(_rollouts(problem.plan, test.test)), "only planned rollouts are missing"
+            planned = set(plan.batches(test.test))
+            assert all(each in planned or plan.batch_of(each)[0] in planned for each in test.missing), "planned ones"

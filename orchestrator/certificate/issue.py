@@ -7,12 +7,13 @@ from pathlib import PurePosixPath
 
 from ...schemas.base import digest
 from ...schemas.file.bases import bases
-from ...schemas.ids import RolloutId
+from ...schemas.ids import FileId, RolloutId
 from ...schemas.result import certificate as document
 from ...schemas.result.facts import DiscardFact, Header
 from ..campaign.bounded_parts import bounded_accounts
 from ..campaign.counterexample import counterexample
-from ..campaign.ledger import Ledger, observed_discards
+from ..campaign.ledger import Ledger, observed_discards, observed_rollouts
+from ..store.files import FOLDER
 from .assumptions.audit import ClosingResults, assumptions
 from .assumptions.opinions import workers_honest
 from .claims import Results, claims, of_listed_starts
@@ -27,14 +28,13 @@ class Manifest:
     """The list of the trajectory files behind the observations, as `sha256sum` reads it."""
 
     text: str
-    rollouts: int
 
 
 def manifest(entries: Iterable[tuple[str, str]], discards: Iterable[DiscardFact] = ()) -> Manifest:
     """Return the manifest of (sha256, path) pairs, then of discarded rollouts, in the format of sha256sum."""
     lines = [f"{sha256}  {path}\n" for sha256, path in entries]
     kept = [f"{fact.sha256}  {fact.path}\n" for fact in discards]
-    return Manifest("".join([*lines, *kept]), len(lines))
+    return Manifest("".join([*lines, *kept]))
 
 
 def issue(
@@ -95,7 +95,7 @@ def issue(
             manifest_sha256=manifest_sha256,
             # One chain per problem and check, because observations of two series have no order; the head covers all.
             chain_head=digest([series.link for series in ledger.series.values()]),
-            rollouts=evidence.rollouts,
+            rollouts=observed_rollouts(ledger),
         ),
         software=header.software,
         rules=header.rules,
@@ -134,8 +134,9 @@ def _shrunk(ledger: Ledger, parameters: Sequence[str]) -> document.Shrunk | None
 
 
 def _listed(evidence: Manifest) -> list[RolloutId]:
-    names = [PurePosixPath(line.split()[1]).stem for line in evidence.text.splitlines()]
-    return [RolloutId.parse(name) for name in names if name.count(".") == 3]  # a discarded one has its digest, too
+    paths = [PurePosixPath(line.split()[1]) for line in evidence.text.splitlines()]
+    # A discarded one is in another folder.
+    return [FileId.parse(path.stem).rollout for path in paths if path.parts[0] == FOLDER and path.stem.count(".") > 2]
 
 
 def subject(manifest_sha256: str) -> document.Subject:

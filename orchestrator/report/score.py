@@ -10,11 +10,11 @@ from pathlib import Path
 
 from ...schemas.errors import PerfboundError
 from ...schemas.ids import RECHECK, RolloutId, closing_check
-from ...schemas.trajectory.trajectory import decode
 from ..campaign.objectives import scored as objective
 from ..mathematics.stl.parser import parse_formula
+from ..store import facts as recorded_facts
 from ..store import read
-from ..store.files import read_evidence
+from .rollout.of_tests import read_recorded
 
 BARS = 12
 WIDTH = 50
@@ -49,11 +49,13 @@ def scored(directory: Path, specification: str, report: Callable[[str, int, int]
         formula = parse_formula(specification, known)
     except ValueError as error:
         raise PerfboundError(f"--specification: {error}") from None
-    recorded = [each for each in read.observed(directory) if closing_check(each[0].problem) != RECHECK]
+    recorded = [
+        each for each in recorded_facts.observed_rollouts(directory) if closing_check(each.rollout.problem) != RECHECK
+    ]
     found = []
-    for number, (rollout, sha256, path) in enumerate(recorded):
+    for number, fact in enumerate(recorded):
         report("rollouts", number, len(recorded))
-        trajectory = decode(read_evidence(directory, path, sha256))
+        rollout, trajectory = fact.rollout, read_recorded(directory, fact).trajectory
         try:
             value = objective(formula, trajectory, spec.after_end)
         except ValueError as error:

@@ -6,10 +6,12 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from ...schemas.batch import BatchRequest
 from ...schemas.errors import EvidenceError
 from ...schemas.rollout import RolloutRequest
+from ...schemas.trajectory.batch import Batch
 from ...schemas.trajectory.trajectory import Trajectory
-from ..campaign.admission import admit
+from ..campaign.admission import admit_either
 from ..fleet.link.transport import Result
 
 LARGE = 2**20
@@ -24,7 +26,7 @@ class Decoded:
 
     at: float
     result: Result
-    found: Trajectory | EvidenceError
+    found: Trajectory | Batch | EvidenceError
 
 
 class Decoder:
@@ -32,7 +34,7 @@ class Decoder:
 
     def __init__(self, columns: tuple[str, ...], done: Callable[[Decoded], None]) -> None:
         self._columns, self._done = columns, done
-        self._waiting: queue.SimpleQueue[tuple[Result, RolloutRequest]] = queue.SimpleQueue()
+        self._waiting: queue.SimpleQueue[tuple[Result, RolloutRequest | BatchRequest]] = queue.SimpleQueue()
         self._pending: dict[Key, float] = {}
         self._thread: threading.Thread | None = None
 
@@ -44,7 +46,7 @@ class Decoder:
         """
         return min(self._pending.values(), default=float("inf"))
 
-    def submit(self, result: Result, request: RolloutRequest) -> None:
+    def submit(self, result: Result, request: RolloutRequest | BatchRequest) -> None:
         """Decode a result; the same one that is delivered again meanwhile is dropped."""
         if (key := _key_of(result)) in self._pending:
             return
@@ -61,9 +63,9 @@ class Decoder:
     def _work(self) -> None:
         while True:
             result, request = self._waiting.get()
-            found: Trajectory | EvidenceError
+            found: Trajectory | Batch | EvidenceError
             try:
-                found = admit(request, self._columns, result.payload, result.header.sha256)
+                found = admit_either(request, self._columns, result.payload, result.header.sha256)
             except EvidenceError as fault:
                 found = fault.with_traceback(None)  # whose frames hold megabytes
             self._done(Decoded(time.monotonic(), result, found))

@@ -8,6 +8,7 @@ from ...schemas.ids import RolloutId
 from ...schemas.ranges import MAX_FILE_BYTES
 from ...schemas.result.facts import DiscardFact, RolloutFact
 from ...schemas.trajectory.trajectory import Trajectory, decode
+from ..campaign import state
 from ..campaign.admission import objective_fault
 from ..campaign.ledger import Ledger
 from ..certificate import files
@@ -55,7 +56,9 @@ def _recorded(ledger: Ledger, journal: Journal, name: str) -> RolloutFact:
         rollout = RolloutId.parse(name)
     except ValueError:
         raise RequestError(f"{name!r} is no rollout; give one like nominal_robustness.3.true.0") from None
-    found = [fact for fact in journal.recorded() if fact.rollout == rollout]
+    if state.plan_of(ledger.state, rollout.problem).batch > 1:
+        raise RequestError(f"{name}: in a campaign with batches a rollout without an objective is made again by itself")
+    found = [fact for fact in journal.recorded() if fact.rollout == rollout and isinstance(fact, RolloutFact)]
     if not found:
         raise RequestError(f"{name}: no such rollout is recorded; `perfbound export` lists them")
     series = ledger.series.get(rollout.problem)

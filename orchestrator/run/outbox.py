@@ -7,10 +7,12 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from ...schemas.atomic import write_new
+from ...schemas.batch import BatchRequest
 from ...schemas.ids import Attempt
 from ...schemas.link.messages import (
     Ack,
     Assign,
+    AssignBatch,
     Cancel,
     HeartbeatInterval,
     Refuse,
@@ -84,10 +86,14 @@ class Outbox:
         self._transport, self._assignments = transport, assignments
         self._waiting: list[tuple[str, Request]] = []
 
-    def assign(self, worker: str, attempt: Attempt, request: RolloutRequest) -> None:
+    def assign(self, worker: str, attempt: Attempt, request: RolloutRequest | BatchRequest) -> None:
         """Give an attempt to a worker, with the secret that proves its result."""
         secret = self._assignments.secret(worker, attempt)
-        self._waiting.append((worker, Assign(attempt=attempt.number, secret=secret, request=request)))
+        if isinstance(request, BatchRequest):
+            message: Request = AssignBatch(attempt=attempt.number, secret=secret, request=request)
+        else:
+            message = Assign(attempt=attempt.number, secret=secret, request=request)
+        self._waiting.append((worker, message))
 
     def answer(self, action: events.Revoke | events.Acknowledge | events.Dismiss) -> None:
         """Stop an attempt, acknowledge it, or let a worker end that leaves."""

@@ -5,14 +5,18 @@ from collections.abc import Callable, Container, Iterable
 
 import numpy as np
 
+from ...schemas.batch import BatchRequest, largest_result
 from ...schemas.errors import EvidenceError, UnusableTrajectoryError
 from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, RolloutId
+from ...schemas.link.messages import MAX_RESULT
 from ...schemas.result.facts import RECORDED, RESTORED
 from ...schemas.rollout import RolloutRequest
+from ...schemas.trajectory.batch import Batch
 from ...schemas.trajectory.trajectory import Trajectory
-from ..campaign.admission import Admission, Compared, admit
-from ..campaign.ledger import Ledger, Work
+from ...schemas.trajectory.visual import Floats
+from ..campaign.admission import Admission, Compared, admit_either
+from ..campaign.ledger import Ledger, Scored, Work
 from ..fleet.dispatch import events
 from ..fleet.link.transport import Result
 from ..store.journal import Journal
@@ -30,7 +34,7 @@ class Results:
         self._admission = Admission(ledger)
         self._decoder = Decoder(self._admission.columns, done)
         self._grids = Grids()
-        self._admitted: dict[Attempt, tuple[Result, Trajectory]] = {}
+        self._admitted: dict[Attempt, tuple[Result, Trajectory | Scored]] = {}
         self._doubtful: set[Attempt] = set()
         """Those of the admitted ones with a time grid that is not known."""
 
@@ -53,7 +57,7 @@ class Results:
         if result.header.outcome == "handed_back":
             return (events.HandedBack(result.at, result.worker, attempt),)
         header, failure, is_open = result.header, None, attempt.rollout in open_rollouts
-        if header.outcome == "done" and len(result.payload) > (most := self._ledger.header.spec.largest_file):
+        if header.outcome == "done" and len(result.payload) > (most := self._largest(attempt.rollout, is_open=is_open)):
             size = f"{len(result.payload)} bytes, more than the {most} of a result"
             failed = Failure("system", f"the trajectory's file has {size}")
             return (events.Delivered(result.at, result.worker, attempt, failed),)
@@ -69,19 +73,34 @@ class Results:
         doubtful = attempt in self._doubtful
         return (events.Delivered(result.at, result.worker, attempt, failure, header.sha256, doubtful=doubtful),)
 
-    def _admit(self, attempt: Attempt, message: Result, decoded: Trajectory | EvidenceError | None) -> Failure | None:
+    def _largest(self, rollout: RolloutId, *, is_open: bool) -> int:
+        spec, config = self._ledger.header.spec, self._ledger.config
+        if is_open:
+            return largest_result(spec, self.request(rollout))
+        return min(spec.largest_file * config.batch, MAX_RESULT)
+
+    def _admit(
+        self, attempt: Attempt, message: Result, decoded: Trajectory | Batch | EvidenceError | None
+    ) -> Failure | None:
         """Keep a result until it is decided on; return the failure of the attempt if it is refused."""
         if isinstance(decoded, EvidenceError):  # not raised here: its frame would keep the result, and it the frame
             return _refused(decoded)
         rollout, sha256 = attempt.rollout, message.header.sha256
         try:
+            request = self.request(rollout)
             if decoded is None:
-                decoded = admit(self.request(rollout), self._admission.columns, message.payload, sha256)
-            compared = "same" if self._review.request(rollout) else self._admission.check(rollout, decoded)
+                decoded = admit_either(request, self._admission.columns, message.payload, sha256)
+            found: Trajectory | Scored
+            if isinstance(decoded, Batch):
+                assert isinstance(request, BatchRequest)
+                found, compared = self._admission.score(rollout, request, decoded)
+            else:
+                compared = "same" if self._review.request(rollout) else self._admission.check(rollout, decoded)
+                found = decoded
         except EvidenceError as fault:
             return _refused(fault)
-        self._admitted[attempt] = message, decoded
-        if self._is_doubted(compared) and not self._grids.is_known(decoded, message.worker, rollout):
+        self._admitted[attempt] = message, found
+        if self._is_doubted(compared) and not self._grids.is_known(_grid(found), message.worker, rollout):
             self._doubtful.add(attempt)
         return None
 
@@ -92,21 +111,21 @@ class Results:
             return False
         return compared == "first of a pair" or not self._grids.vary
 
-    def request(self, rollout: RolloutId) -> RolloutRequest:
+    def request(self, rollout: RolloutId) -> RolloutRequest | BatchRequest:
         """Return the request for a rollout that is wanted."""
         return self._review.request(rollout) or self._ledger.request(rollout)
 
     def record(self, worker: str, attempt: Attempt) -> Work:
         """Write an admitted result; return the rollouts that are wanted and unwanted from now on."""
-        message, trajectory = self._admitted[attempt]
+        message, found = self._admitted[attempt]
         header, rollout = message.header, attempt.rollout
         if self._review.request(rollout) is not None:
             self._review.take(worker, attempt, header.sha256)
             return Work()
         outcome = RESTORED if self._ledger.restores(rollout) else RECORDED
         if attempt in self._doubtful:
-            self._grids.take(trajectory)
-        work = self._ledger.record(rollout, message.payload, trajectory, header.sha256)
+            self._grids.take(_grid(found))
+        work = self._ledger.record(rollout, message.payload, found, header.sha256)
         self._journal.attempts.ended(attempt, worker, outcome, header.cpu_seconds, header.wall_seconds)
         return work
 
@@ -157,9 +176,9 @@ class Grids:
         """Whether the system has grids of its own for its starts, so that an unknown one is no sign of a fault."""
         return self._confirmed >= VARIOUS
 
-    def is_known(self, trajectory: Trajectory, worker: str, rollout: RolloutId) -> bool:
-        """Whether the grid of a worker's result is known; afterwards that worker has sent it."""
-        grid, new = _digest(trajectory), ("", rollout)
+    def is_known(self, times: Floats, worker: str, rollout: RolloutId) -> bool:
+        """Whether the grid (T,) of a worker's result is known; afterwards that worker has sent it."""
+        grid, new = _digest(times), ("", rollout)
         first = self._senders.pop(grid, new)
         # Two workers, or one that repeats it: a worker alone may be wrong in the same way for every rollout.
         known = first is None or (first is not new and (first[0] != worker or first[1] == rollout))
@@ -170,11 +189,15 @@ class Grids:
             del self._senders[next(iter(self._senders))]
         return known
 
-    def take(self, trajectory: Trajectory) -> None:
-        """Know the grid of a result that was doubted and is recorded: its repetition gave the same."""
+    def take(self, times: Floats) -> None:
+        """Know the grid (T,) of a result that was doubted and is recorded: its repetition gave the same."""
         self._confirmed += 1
-        self._senders[_digest(trajectory)] = None
+        self._senders[_digest(times)] = None
 
 
-def _digest(trajectory: Trajectory) -> str:
-    return hashlib.sha256(np.ascontiguousarray(trajectory.samples[:, 0]).tobytes()).hexdigest()
+def _grid(found: Trajectory | Scored) -> Floats:
+    return found.batch.time if isinstance(found, Scored) else found.samples[:, 0]
+
+
+def _digest(times: Floats) -> str:
+    return hashlib.sha256(np.ascontiguousarray(times).tobytes()).hexdigest()

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
+from ...schemas.batch import alone
 from ...schemas.errors import Stopped
 from ...schemas.file.config import CampaignConfig
 from ...schemas.ids import closing_check
@@ -300,7 +301,7 @@ class Service:
             raise Stopped(self._stop)
         if self._poisoned is not None:
             ends = self._fleet.ended if self._fleet is not None else {}
-            request = self._results.request(self._poisoned.rollout)
+            request = alone(self._results.request(self._poisoned.rollout))
             text = poison_text(self._poisoned, request, self._ledger, self._journal.origin.system, ends)
             raise PoisonedError(text, request)
 

@@ -1,18 +1,23 @@
 """The rows that were added to a campaign database since the last call; nothing stays open between two calls."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import sqlalchemy as sa
 from sqlalchemy import Connection
 
 from ...schemas.errors import JournalError
 from ...schemas.ranges import within_seconds
+from ...schemas.result.block_facts import each_fact
 from ...schemas.result.facts import BoundFact, ExtensionFact, Header, ObservationFact, ProposalFact, RolloutFact
 from . import tables
+from .facts import READERS, each_rollout_fact
 from .read import read_header, reading
-from .rows import DATABASE, READERS
+from .rows import DATABASE
+
+T = TypeVar("T")
 
 _SINCE: sa.BindParameter[int] = sa.bindparam("since")
 _rollouts, _outcomes, _attempts = tables.rollouts.c, tables.outcomes.c, tables.attempts.c
@@ -23,12 +28,18 @@ _DECISIONS = {
     table: sa.select(table).where(table.c.seq > _SINCE)
     for table in (tables.tests, tables.observations, tables.bounds, tables.extensions)
 }
+_LAST = sa.func.max(_rollouts.seq)
 _COUNTS = (
-    sa.select(_rollouts.problem, sa.func.count().label("number"), sa.func.max(_rollouts.seq).label("seq"))
+    sa.select(_rollouts.problem, sa.func.sum(_rollouts.rollouts).label("number"), _LAST.label("seq"))
     .where(_rollouts.seq > _SINCE)
     .group_by(_rollouts.problem)
 )
-_VIOLATIONS = sa.select(tables.rollouts).where(_rollouts.seq > _SINCE, _rollouts.robustness < 0).order_by(_rollouts.seq)
+_each = tables.each_rollout.c
+_VIOLATIONS = (
+    sa.select(tables.each_rollout)
+    .where(_each.seq > _SINCE, _each.robustness < 0)
+    .order_by(_each.seq, _each.test, _each.replicate)
+)
 _OUTCOMES = sa.select(tables.outcomes, _ENDED.label("rowid")).where(_ENDED > _SINCE).order_by(_ENDED)
 _HOSTS = (
     sa.select(_attempts.worker, _attempts.host, sa.func.max(_STARTED).label("rowid"))
@@ -170,7 +181,7 @@ class ChangeReader:
         decisions.sort(key=lambda pair: pair[0])  # the sequence number is common to all tables of facts
         found = Changes(
             header,
-            tuple(fact for _, fact in decisions),
+            tuple(fact for fact in each_fact(fact for _, fact in decisions) if isinstance(fact, Decision)),
             {row.problem: row.number for row in counts},
             tuple(_rollout(row, self._directory) for row in violations),
             tuple(_ended_attempt(row) for row in outcomes),
@@ -205,8 +216,8 @@ def rollouts_of(directory: Path, problem: str, test: int) -> tuple[RolloutFact, 
 
     """
     with reading(directory) as connection:
-        this = sa.select(tables.rollouts).where(_rollouts.problem == problem, _rollouts.test == test)
-        rows = connection.execute(this.order_by(_rollouts.variant, _rollouts.replicate)).all()
+        this = sa.select(tables.each_rollout).where(_each.problem == problem, _each.test == test)
+        rows = connection.execute(this.order_by(_each.variant, _each.replicate)).all()
     return tuple(_rollout(row, directory) for row in rows)
 
 
@@ -217,13 +228,15 @@ def _ended_attempt(row: Any) -> AttemptOutcome:
 
 
 def _rollout(row: Any, directory: Path) -> RolloutFact:
-    fact = _fact(tables.rollouts, row, directory)
-    assert isinstance(fact, RolloutFact)
-    return fact
+    return _read(each_rollout_fact, tables.rollouts.name, row, directory)
 
 
 def _fact(table: sa.Table, row: Any, directory: Path) -> Any:
+    return _read(READERS[table.name], table.name, row, directory)
+
+
+def _read(reader: Callable[[Any], T], table: str, row: Any, directory: Path) -> T:
     try:
-        return READERS[table.name](row)
+        return reader(row)
     except (ValueError, TypeError) as error:
-        raise JournalError(f"{directory / DATABASE}: table {table.name}: a row cannot be read ({error})") from None
+        raise JournalError(f"{directory / DATABASE}: table {table}: a row cannot be read ({error})") from None

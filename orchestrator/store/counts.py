@@ -16,8 +16,8 @@ from .readonly import snapshot
 
 _RUN = "SELECT run FROM campaign"
 # +problem: without the sign SQLite reads the whole index of problems in place of the rows after a sequence number.
-_ROLLOUTS = "SELECT problem, count(*), total(robustness < 0), max(seq) FROM rollouts WHERE seq > ? GROUP BY +problem"
-_TESTS = "SELECT problem, count(*), max(y), max(seq) FROM observations WHERE seq > ? GROUP BY +problem"
+_ROLLOUTS = "SELECT problem, sum(rollouts), sum(violations), max(seq) FROM rollouts WHERE seq > ? GROUP BY +problem"
+_TESTS = "SELECT problem, sum(tests), max(y), max(seq) FROM observations WHERE seq > ? GROUP BY +problem"
 # The other columns are those of the row with the highest number: an extension of SQLite.
 _BOUNDS = "SELECT problem, upper, max(seq) FROM bounds WHERE seq > ? GROUP BY +problem"
 _ATTEMPTS = "SELECT host, count(*), min(rowid), max(rowid) FROM attempts WHERE rowid > ? GROUP BY host ORDER BY 3"

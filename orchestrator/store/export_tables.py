@@ -116,12 +116,12 @@ def unit(problem: Problem, config: CampaignConfig, spec: SystemSpec) -> str:
 
 # tests
 
-_t, _o, _b, _r = tables.tests.c, tables.observations.c, tables.bounds.c, tables.rollouts.c
+_t, _o, _b, _r = tables.each_test.c, tables.each_observation.c, tables.bounds.c, tables.each_rollout.c
 _TESTS = (
-    sa.select(tables.tests, _o.y, _b.upper, _b.lower, _b.stopped_by)
-    .outerjoin(tables.observations, (_o.problem == _t.problem) & (_o.test == _t.test))
+    sa.select(tables.each_test, _o.y, _b.upper, _b.lower, _b.stopped_by)
+    .outerjoin(tables.each_observation, (_o.problem == _t.problem) & (_o.test == _t.test))
     .outerjoin(tables.bounds, (_b.problem == _t.problem) & (_b.test == _t.test))
-    .order_by(_t.seq)
+    .order_by(_t.seq, _t.test)
 )
 _TEST = (ExportColumn("problem", "text"), ExportColumn("test", "integer"))
 _OBJECTIVE = (ExportColumn("sense", "text"), ExportColumn("unit", "text"), ExportColumn("observation"))
@@ -148,14 +148,17 @@ def _tests_table(header: Header) -> ExportTable:
 # rollouts, counterexamples
 
 _outcome, _tried = tables.outcomes.c, tables.attempts.c
-_ID = _r.problem + "." + sa.cast(_r.test, sa.Text) + "." + _r.variant + "." + sa.cast(_r.replicate, sa.Text)
-_ATTEMPTS = sa.select(sa.func.count()).where(_tried.rollout == _ID).correlate(tables.rollouts).scalar_subquery()
+_NAME = [sa.cast(each, sa.Text) for each in (_r.problem, _r.test, _r.variant, _r.replicate)]
+_ID = _NAME[0] + "." + _NAME[1] + "." + _NAME[2] + "." + _NAME[3]
+_TRIED = _r.attempted
+"""The rollout that names its attempts: of a batch the first one."""
+_ATTEMPTS = sa.select(sa.func.count()).where(_tried.rollout == _TRIED).correlate(tables.each_rollout).scalar_subquery()
 _earlier = tables.outcomes.alias()
 # After a discard there are two recorded attempts; the present row is of the last one.
 _LAST = (
     sa.select(sa.func.max(_earlier.c.attempt))
-    .where(_earlier.c.rollout == _ID, _earlier.c.outcome == RECORDED)
-    .correlate(tables.rollouts)
+    .where(_earlier.c.rollout == _TRIED, _earlier.c.outcome == RECORDED)
+    .correlate(tables.each_rollout)
     .scalar_subquery()
 )
 _ROLLOUTS = (
@@ -164,11 +167,11 @@ _ROLLOUTS = (
         *(_r.robustness, _r.by_tolerance, _r.ended, _r.path, _r.size, _r.sha256),
         *(_outcome.worker, _ATTEMPTS.label("attempts"), _outcome.wall_seconds, _outcome.cpu_seconds),
     )
-    .join(tables.tests, (_t.problem == _r.problem) & (_t.test == _r.test))
+    .join(tables.each_test, (_t.problem == _r.problem) & (_t.test == _r.test))
     .outerjoin(
-        tables.outcomes, (_outcome.rollout == _ID) & (_outcome.outcome == RECORDED) & (_outcome.attempt == _LAST)
+        tables.outcomes, (_outcome.rollout == _TRIED) & (_outcome.outcome == RECORDED) & (_outcome.attempt == _LAST)
     )
-    .order_by(_r.seq)
+    .order_by(_r.seq, _r.test, _r.replicate)
 )
 _ROLLOUT = (
     ExportColumn("rollout", "text"),
@@ -250,7 +253,7 @@ def _as_stored(table: sa.Table, columns: tuple[ExportColumn, ...]) -> ExportTabl
 
 # observations
 
-_OBSERVATIONS = sa.select(tables.observations).order_by(_o.seq)
+_OBSERVATIONS = sa.select(tables.each_observation).order_by(_o.seq, _o.test)
 _REPLICATE = (ExportColumn("replicate", "integer"), ExportColumn("contribution"), ExportColumn("chain", "text"))
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ...schemas.atomic import TEMPORARY, fresh, make_folder, sync, temporary
 from ...schemas.errors import EvidenceError
-from ...schemas.ids import RolloutId
+from ...schemas.ids import FileId, RolloutId
 from ...schemas.outside import read_outside
 from ...schemas.ranges import MAX_FILE_BYTES
 
@@ -22,9 +22,9 @@ SYNCING = 8
 """Files that wait for the disk at a time."""
 
 
-def relative_path(rollout: RolloutId) -> str:
-    """Return the place of a rollout's file in the run directory, a thousand tests a folder."""
-    return f"{FOLDER}/{rollout.problem}/{rollout.test // 1000}/{rollout}.mcap"
+def relative_path(file: FileId) -> str:
+    """Return the place of a file in the run directory, a thousand tests a folder."""
+    return f"{FOLDER}/{file.rollout.problem}/{file.rollout.test // 1000}/{file}.mcap"
 
 
 def discarded_path(rollout: RolloutId, sha256: str) -> str:

@@ -19,22 +19,22 @@ from ...schemas.errors import JournalError
 from ...schemas.host import host_name
 from ...schemas.ids import RolloutId
 from ...schemas.platforms import platform_class
-from ...schemas.result.facts import Fact, Header, ProposalFact, RolloutFact
+from ...schemas.ranges import LARGEST_BATCH
+from ...schemas.result.block_facts import BatchFact, StoredFact, each_rollout
+from ...schemas.result.facts import Header, ProposalFact, RolloutFact
 from . import tables
 from .attempts import AttemptLog
 from .commit_times import CommitTimes
 from .damage import naming_cause
+from .facts import fact_row, proposal_fact, rollout_fact, stored_facts
 from .lock import RunLock
 from .pending import PendingRows
-from .read import check_schema, read_facts, read_header
+from .read import check_schema, read_header
 from .rows import (
     DATABASE,
     SCHEMA_VERSION,
     existing,
-    fact_row,
     header_row,
-    proposal_fact,
-    rollout_fact,
 )
 
 
@@ -130,19 +130,19 @@ class Journal:
             self._connection.rollback()
             raise
 
-    def add(self, fact: Fact) -> None:
+    def add(self, fact: StoredFact) -> None:
         """Write one fact; inside `transaction` alone."""
         table, row = fact_row(fact)
         self._seq += 1
         self._rows.add(tables.metadata.tables[table], {"seq": self._seq, **row})
 
-    def facts(self) -> Iterator[Fact]:
+    def facts(self) -> Iterator[StoredFact]:
         """Yield all facts after the header in the order in which they were written."""
         with naming_cause(self.directory), self._connection.begin():
-            yield from read_facts(self._connection)
+            yield from stored_facts(self._connection)
 
-    def recorded(self) -> list[RolloutFact]:
-        """Return all recorded rollouts, the newest first."""
+    def recorded(self) -> list[RolloutFact | BatchFact]:
+        """Return all recorded rollouts and batches, the newest first."""
         newest = sa.select(tables.rollouts).order_by(tables.rollouts.c.seq.desc())
         with self._connection.begin():
             return [rollout_fact(row) for row in self._connection.execute(newest)]
@@ -150,15 +150,23 @@ class Journal:
     def proposal(self, problem: str, test: int) -> ProposalFact:
         """Return the proposal of a test that has one; inside or outside a transaction."""
         columns = tables.tests.c
-        (row,) = self._rows.read(sa.select(tables.tests).where(columns.problem == problem, columns.test == test))
-        return proposal_fact(row)
+        # The newest one up to there is its own, or that of its block.
+        query = sa.select(tables.tests).where(columns.problem == problem, columns.test <= test)
+        (row,) = self._rows.read(query.order_by(columns.test.desc()).limit(1))
+        found = proposal_fact(row)
+        return found if isinstance(found, ProposalFact) else found.of_test(test)
 
     def rollout(self, rollout: RolloutId) -> RolloutFact:
         """Return a recorded rollout; inside or outside a transaction."""
-        columns = tables.rollouts.c
-        this = [columns[name] == value for name, value in rollout._asdict().items()]
-        (row,) = self._rows.read(sa.select(tables.rollouts).where(*this))
-        return rollout_fact(row)
+        columns, (problem, test, variant, replicate) = tables.rollouts.c, rollout
+        first, places = columns.test, columns.places
+        tests = (first <= test, first > test - places, first > test - LARGEST_BATCH)
+        numbers = (columns.replicate <= replicate, columns.replicate > replicate - columns.replicates)
+        same = (columns.problem == problem, columns.variant == variant)
+        query = sa.select(tables.rollouts).where(*same, *tests, *numbers)
+        found = (rollout_fact(row) for row in self._rows.read(query.order_by(places)))
+        # The batch in which it failed may have it as well.
+        return next(fact for each in found for fact in each_rollout(each) if fact.rollout == rollout)
 
     @property
     def platform(self) -> str:

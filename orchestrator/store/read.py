@@ -6,35 +6,21 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy import Connection, Engine
 
 from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, RolloutId, series_order
-from ...schemas.result.facts import HANDED_BACK, RECORDED, BoundFact, Fact, Header, ObservationFact, ProposalFact
-from ...schemas.values import Bound, Observation, Proposal, StoppedBy
+from ...schemas.result.facts import (
+    HANDED_BACK,
+    RECORDED,
+    Header,
+)
 from . import tables
 from .damage import naming_cause
 from .readonly import is_still, open_readonly
-from .rows import READERS, check_version, checked_header, existing
-
-
-@dataclass(frozen=True, slots=True)
-class ObservedTest:
-    """The facts of one observed test, joined; all in terms of the maximised objective J."""
-
-    test: int
-    proposal: Proposal
-    observation: Observation
-    bound: Bound
-    stopped_by: StoppedBy | None
-
-    @classmethod
-    def of(cls, proposal: ProposalFact, observation: ObservationFact, bound: BoundFact) -> "ObservedTest":
-        """Join the three facts of a test."""
-        return cls(bound.test, proposal.proposal, observation.observation, bound.bound, bound.stopped_by)
+from .rows import check_version, checked_header, existing
 
 
 @contextmanager
@@ -121,18 +107,6 @@ def system_reference(directory: Path) -> str:
         newest = sa.select(sessions.system).where(sessions.system.is_not(None)).order_by(sessions.session.desc())
         found = connection.execute(newest.limit(1)).scalar()
         return str(found or header.config.system.reference(directory / f"{header.config.name}.toml"))
-
-
-def read_facts(connection: Connection) -> Iterator[Fact]:
-    """Yield all facts after the header in the order in which they were written."""
-    rows = [
-        (row.seq, make(row))
-        for table, make in READERS.items()
-        for row in connection.execute(sa.select(tables.metadata.tables[table]))
-    ]
-    rows.sort(key=lambda pair: pair[0])  # the order of the decisions: a replay takes the same way as the run
-    for _, fact in rows:
-        yield fact
 
 
 def attempts(directory: Path) -> dict[RolloutId, int]:
@@ -236,9 +210,8 @@ def starts_of_tests(directory: Path) -> dict[tuple[str, int], tuple[float, ...]]
         JournalError: there is no campaign in `directory`, or it cannot be read.
 
     """
-    tests = tables.tests.c
     with reading(directory) as connection:
-        rows = connection.execute(sa.select(tests.problem, tests.test, tests.x)).all()
+        rows = connection.execute(sa.text("SELECT problem, test, x FROM each_test")).all()
         return {(row.problem, row.test): tuple(json.loads(row.x)) for row in rows}
 
 
@@ -252,33 +225,18 @@ def observed(directory: Path) -> list[tuple[RolloutId, str, str]]:
     rollouts, seen = tables.rollouts.c, tables.observations.c
     # Joined with the observations: whether a rollout is recorded after its problem has stopped depends on the speed of
     # the workers, and the certificate must not.
-    joined = tables.rollouts.join(
-        tables.observations, (rollouts.problem == seen.problem) & (rollouts.test == seen.test)
-    )
+    same = (rollouts.problem == seen.problem) & (rollouts.test == seen.test)
+    # A rollout that failed in its batch was made again: it belongs to the block in which its test is not the first one.
+    later = (rollouts.problem == seen.problem) & (rollouts.test > seen.test) & (rollouts.test < seen.test + seen.tests)
     rollout = (rollouts.problem, rollouts.test, rollouts.variant, rollouts.replicate)
+    query = sa.select(*rollout, rollouts.sha256, rollouts.path, rollouts.places)
     with reading(directory) as connection:
         order = [problem.name for problem in read_header(connection, directory).config.problems]
-        rows = connection.execute(sa.select(*rollout, rollouts.sha256, rollouts.path).select_from(joined)).all()
-    found = [(RolloutId(*row[:4]), str(row[4]), str(row[5])) for row in rows]
-    return sorted(found, key=lambda entry: (*series_order(order, entry[0].problem), *entry[0][1:]))
-
-
-def history(directory: Path) -> dict[str, tuple[ObservedTest, ...]]:
-    """Return the observed tests of every problem, in their order.
-
-    Raises:
-        JournalError: there is no campaign in `directory`, or it cannot be read.
-
-    """
-    with reading(directory) as connection:
-        header = read_header(connection, directory)
-        return {problem.name: _observed(connection, problem.name) for problem in header.config.problems}
-
-
-def _observed(connection: Connection, name: str) -> tuple[ObservedTest, ...]:
-    by_test: list[dict[int, Any]] = []
-    for table in (tables.tests, tables.observations, tables.bounds):
-        rows = connection.execute(sa.select(table).where(table.c.problem == name).order_by(table.c.test))
-        by_test.append({row.test: READERS[table.name](row) for row in rows})
-    tests, seen, bounds = by_test
-    return tuple(ObservedTest.of(tests[test], seen[test], bounds[test]) for test in bounds)
+        rows = [
+            *connection.execute(query.select_from(tables.rollouts.join(tables.observations, same))),
+            *connection.execute(
+                query.select_from(tables.rollouts.join(tables.observations, later)).where(rollouts.seeds.is_not(None))
+            ),
+        ]
+    rows.sort(key=lambda row: (*series_order(order, row.problem), *row[1:4], -row.places))
+    return [(RolloutId(*row[:4]), str(row[4]), str(row[5])) for row in rows]

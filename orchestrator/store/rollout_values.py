@@ -6,7 +6,7 @@ from typing import NamedTuple
 from .readonly import snapshot
 
 _ADDED = """
-    SELECT seq, problem, variant, test, robustness FROM rollouts
+    SELECT seq, problem, variant, test, robustness FROM each_rollout
     WHERE seq > ? AND robustness IS NOT NULL ORDER BY seq
 """
 

@@ -1,7 +1,7 @@
 """Rows of the campaign database as facts, and facts as rows; without SQL, for every way of reading."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,21 +9,16 @@ from ...schemas.base import canonical_json
 from ...schemas.errors import JournalError
 from ...schemas.failure import Failure
 from ...schemas.file.config import CampaignConfig
-from ...schemas.ids import Attempt, RolloutId
+from ...schemas.ids import Attempt
 from ...schemas.result.facts import (
     NO_FAILURE,
     BoundFact,
-    DiscardFact,
     ExtensionFact,
-    Fact,
     Header,
-    ObservationFact,
-    ProposalFact,
-    RolloutFact,
     check_rules,
 )
 from ...schemas.system import SystemSpec
-from ...schemas.values import Bound, Observation, Proposal
+from ...schemas.values import Bound
 
 DATABASE = "campaign.db"
 BESIDE = ("trajectories", "certificate.json", "manifest.sha256")
@@ -100,31 +95,6 @@ def _parsed_header(directory: Path, rows: Sequence[Any]) -> Header:
     return Header(row.run, config, spec, software, config.digest, spec.digest, rules)
 
 
-def proposal_fact(row: Any) -> ProposalFact:
-    """Read a row of `tests`."""
-    x = tuple(json.loads(row.x))
-    return ProposalFact(row.problem, row.test, Proposal(row.node, x, row.mu, row.sigma, row.beta, row.F))
-
-
-def rollout_fact(row: Any) -> RolloutFact:
-    """Read a row of `rollouts`."""
-    rollout = RolloutId(row.problem, row.test, row.variant, row.replicate)
-    file = (row.sha256, row.size, row.path)
-    return RolloutFact(rollout, row.seed, *file, row.robustness, bool(row.by_tolerance), row.ended)
-
-
-def discard_fact(row: Any) -> DiscardFact:
-    """Read a row of `discards`."""
-    rollout = RolloutId(row.problem, row.test, row.variant, row.replicate)
-    return DiscardFact(rollout, row.seed, row.sha256, row.size, row.path, row.reason)
-
-
-def observation_fact(row: Any) -> ObservationFact:
-    """Read a row of `observations`."""
-    found = Observation(row.y, tuple(json.loads(row.each)))
-    return ObservationFact(row.problem, row.test, found, row.chain)
-
-
 def bound_fact(row: Any) -> BoundFact:
     """Read a row of `bounds`."""
     budget = row.stopped_by == "budget"
@@ -136,17 +106,6 @@ def extension_fact(row: Any) -> ExtensionFact:
     """Read a row of `extensions`."""
     budgets = tuple((str(problem), int(tests)) for problem, tests in json.loads(row.budgets))
     return ExtensionFact(row.number, budgets)
-
-
-READERS: dict[str, Callable[[Any], Fact]] = {
-    "tests": proposal_fact,
-    "rollouts": rollout_fact,
-    "discards": discard_fact,
-    "observations": observation_fact,
-    "bounds": bound_fact,
-    "extensions": extension_fact,
-}
-"""By the name of the table."""
 
 
 # From facts to rows
@@ -166,38 +125,6 @@ def header_row(header: Header) -> dict[str, Any]:
     }
 
 
-def fact_row(fact: Fact) -> tuple[str, dict[str, Any]]:
-    """Return the table of a fact, and its row without the sequence number.
-
-    Raises:
-        ValueError: a number is not finite.
-
-    """
-    match fact:
-        case ProposalFact(problem, test, chosen):
-            row = {"problem": problem, "test": test, **_fields(chosen), "x": canonical_json(list(chosen.x))}
-            table = "tests"
-        case RolloutFact():
-            row = _fields(fact)
-            row |= row.pop("rollout")._asdict()
-            table = "rollouts"
-        case DiscardFact():
-            raise TypeError("a discard moves a row of `rollouts`: see store.discard")
-        case ObservationFact(problem, test, found, chain):
-            row = {"problem": problem, "test": test, "y": found.y, "each": canonical_json(list(found.each))}
-            row["chain"] = chain
-            table = "observations"
-        case BoundFact(problem, test, bound):
-            row = {"problem": problem, "test": test, "upper": bound.upper, "lower": bound.lower}
-            row["stopped_by"] = fact.stopped_by
-            table = "bounds"
-        case ExtensionFact(number, budgets):
-            row = {"number": number, "budgets": canonical_json([list(each) for each in budgets])}
-            table = "extensions"
-    canonical_json(row)  # SQLite stores NaN as NULL without an error; this raises, for every kind of fact
-    return table, row
-
-
 def attempt_key(attempt: Attempt) -> dict[str, Any]:
     """Return the key of an attempt in `attempts` and `outcomes`."""
     return {"rollout": str(attempt.rollout), "attempt": attempt.number}
@@ -209,7 +136,3 @@ def outcome_fields(outcome: str | Failure) -> dict[str, Any]:
     if kind and text in NO_FAILURE:  # a reason is text of a system under test, and may be anything
         text = f"failed: {text}"
     return {"outcome": text, "kind": kind}
-
-
-def _fields(value: RolloutFact | Proposal) -> dict[str, Any]:
-    return {name: getattr(value, name) for name in value.__slots__}

@@ -1,11 +1,27 @@
 """The tables of the campaign database.
 
+A row of `tests`, `rollouts` or `observations` may be that of a block: of consecutive tests, or of a batch of rollouts.
+Its numbers are then those of the first of them, or the least or largest of all as its comment says, and the numbers of
+each are in its last columns: little-endian arrays (float64, int64, uint64 or bytes). They are NULL in other rows.
+
 Facts are insert-only and share one sequence number: `campaign`, `tests`, `rollouts`, `discards`, `observations`,
 `bounds`, `extensions`; a discard moves its row from `rollouts` to `discards`. The nondeterministic part (workers, hosts
 and times) is in `attempts`, `outcomes`, `sessions`, `set_aside` and `opinions`, outside the hash chain.
 """
 
-from sqlalchemy import Column, ForeignKeyConstraint, Integer, MetaData, Table, Text, UniqueConstraint
+from sqlalchemy import (
+    Column,
+    ForeignKeyConstraint,
+    Integer,
+    LargeBinary,
+    MetaData,
+    Table,
+    TableClause,
+    Text,
+    UniqueConstraint,
+    column,
+    table,
+)
 from sqlalchemy.types import REAL
 
 metadata = MetaData()
@@ -39,6 +55,9 @@ tests = Table(
     Column("sigma", REAL),
     Column("beta", REAL),  # NULL for the first test, which nothing chose
     Column("F", REAL),
+    Column("tests", Integer, nullable=False, server_default="1"),  # of the block; 1 without one
+    Column("nodes", LargeBinary),  # int64, of each test
+    Column("starts", LargeBinary),  # float64, z of each test
     UniqueConstraint("problem", "test"),
     sqlite_strict=True,
 )
@@ -58,8 +77,19 @@ rollouts = Table(
     Column("robustness", REAL),  # clipped; recomputed from the trajectory by `verify`
     Column("by_tolerance", Integer, nullable=False),  # 1 where the tolerance around time stamps could decide its sign
     Column("ended", REAL),  # s at which it ended before the horizon, if it did
-    UniqueConstraint("problem", "test", "variant", "replicate"),
-    ForeignKeyConstraint(["problem", "test"], ["tests.problem", "tests.test"]),
+    Column("replicates", Integer, nullable=False, server_default="1"),  # of each test in the batch; 1 without one
+    Column("places", Integer, nullable=False, server_default="1"),  # rollouts of the batch; 1 without one
+    Column("rollouts", Integer, nullable=False, server_default="1"),  # of them, with a trajectory
+    Column("violations", Integer, nullable=False, server_default="0"),  # of them, below robustness 0
+    Column("seeds", LargeBinary),  # uint64, of each rollout
+    Column("digests", LargeBinary),  # 32 bytes each: of the samples alone, zeros for a failed rollout
+    Column("robustness_of", LargeBinary),  # float64, NaN for a failed rollout
+    Column("by_tolerance_of", LargeBinary),  # a byte each
+    Column("ended_of", LargeBinary),  # float64, NaN where it did not end
+    Column("failures", Text),  # place in the batch and reason of each failed rollout, JSON
+    # The retry of a rollout that failed in a batch is a batch of its own, perhaps with the same first rollout; its test
+    # need not be the first of a block, which alone has a row of `tests`: there is no foreign key.
+    UniqueConstraint("problem", "test", "variant", "replicate", "places"),
     sqlite_strict=True,
 )
 
@@ -92,6 +122,9 @@ observations = Table(
     Column("y", REAL, nullable=False),  # of the maximised objective J
     Column("each", Text, nullable=False),  # what each replicate contributed, JSON
     Column("chain", Text, nullable=False),  # head of the problem's hash chain after this observation
+    Column("tests", Integer, nullable=False, server_default="1"),  # of the block; 1 without one
+    Column("y_of", LargeBinary),  # float64, of each test
+    Column("each_of", LargeBinary),  # float64, what each replicate of each test contributed
     UniqueConstraint("problem", "test"),
     ForeignKeyConstraint(["problem", "test"], ["tests.problem", "tests.test"]),
     sqlite_strict=True,
@@ -102,12 +135,11 @@ bounds = Table(
     metadata,
     Column("seq", Integer, primary_key=True),
     Column("problem", Text, nullable=False),
-    Column("test", Integer, nullable=False),
+    Column("test", Integer, nullable=False),  # after which it holds: of a block the last one
     Column("upper", REAL),  # upper bound on max J if the campaign stopped here; NULL where the method has none yet
     Column("lower", REAL),  # its partner; NULL in method paper, which has none
     Column("stopped_by", Text),
     UniqueConstraint("problem", "test"),
-    ForeignKeyConstraint(["problem", "test"], ["observations.problem", "observations.test"]),
     sqlite_strict=True,
 )
 
@@ -186,6 +218,21 @@ opinions = Table(
     Column("sha256", Text, nullable=False),
     Column("at", REAL, nullable=False),  # Unix time, s
     sqlite_strict=True,
+)
+
+# Views of a reading connection, see `readonly`: a row for each test and each rollout.
+
+
+def _view(name: str, *columns: str) -> TableClause:
+    return table(name, *map(column, columns))
+
+
+each_test = _view("each_test", "seq", "problem", "test", "node", "x", "mu", "sigma", "beta", "F")
+each_observation = _view("each_observation", "seq", "problem", "test", "y", "each", "chain")
+each_rollout = _view(
+    "each_rollout",
+    *("seq", "problem", "test", "variant", "replicate", "seed", "sha256", "size", "path", "robustness"),
+    *("by_tolerance", "ended", "attempted", "batch"),
 )
 
 FACTS = (campaign, tests, rollouts, discards, observations, bounds, extensions)

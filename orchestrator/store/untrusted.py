@@ -6,19 +6,20 @@ from pathlib import Path
 import sqlalchemy as sa
 
 from ...schemas.errors import JournalError
+from ...schemas.result.block_facts import BatchFact, BlockObservationFact, BlockProposalFact, StoredFact
 from ...schemas.result.facts import (
     BoundFact,
     DiscardFact,
     ExtensionFact,
-    Fact,
     Header,
     ObservationFact,
     ProposalFact,
     RolloutFact,
 )
 from . import tables
+from .facts import READERS
 from .read import check_schema, read_header, reading_untrusted
-from .rows import DATABASE, READERS
+from .rows import DATABASE
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,10 +27,10 @@ class UntrustedFacts:
     """The facts of a database; a table that is gone or empty is an empty tuple."""
 
     header: Header
-    proposals: tuple[ProposalFact, ...]
-    rollouts: tuple[RolloutFact, ...]
+    proposals: tuple[ProposalFact | BlockProposalFact, ...]
+    rollouts: tuple[RolloutFact | BatchFact, ...]
     discards: tuple[DiscardFact, ...]
-    observations: tuple[ObservationFact, ...]
+    observations: tuple[ObservationFact | BlockObservationFact, ...]
     bounds: tuple[BoundFact, ...]
     extensions: tuple[ExtensionFact, ...]
 
@@ -82,7 +83,7 @@ def _check_columns(connection: sa.Connection, directory: Path, table: sa.Table) 
         raise JournalError(f"{directory / DATABASE}: the table {table.name} has other columns than perfbound's")
 
 
-def _rows(connection: sa.Connection, directory: Path, name: str, there: set[str]) -> tuple[Fact, ...]:
+def _rows(connection: sa.Connection, directory: Path, name: str, there: set[str]) -> tuple[StoredFact, ...]:
     if name not in there:
         return ()  # a header alone is enough to decide the campaign again from its files
     table = tables.metadata.tables[name]

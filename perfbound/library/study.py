@@ -28,6 +28,7 @@ from ..orchestrator.run.options import RunOptions, check_own, reopened
 from ..orchestrator.store import read
 from ..orchestrator.store.journal import Journal
 from ..orchestrator.store.rows import DATABASE
+from ..schemas.batch import alone
 from ..schemas.errors import PerfboundError, RequestError, UnusableTrajectoryError, shortened
 from ..schemas.failure import Failure
 from ..schemas.file.config import CampaignConfig
@@ -114,7 +115,7 @@ class _Rollouts:
     def request(self, rollout: RolloutId) -> RolloutRequest:
         """Return the request of a rollout that is wanted or was told."""
         if rollout in self.wanted:
-            return self._ledger.request(rollout)
+            return alone(self._ledger.request(rollout))
         start = self._journal.proposal(rollout.problem, rollout.test).proposal.x
         return self._ledger.header.template.request(rollout, start, self._journal.rollout(rollout).seed)
 

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator
 
 from ..base import Model
+from ..ranges import LARGEST_BATCH
 from .composition import ComposedClaim, Rule, is_composed
 from .drawn_claims import SAMPLED, ClaimRequest, DrawnClaim, drawn_claims
 from .method_spaces import MOST_STARTS, RESOLUTION, fixed_starts
@@ -122,6 +123,14 @@ class CampaignKeys(CampaignSize):
         exclude_if=lambda regions: not regions,
         description="divide D into boxes that are certified safe, certified unsafe or undecided; for one problem of the"
         " robustness on a box, by method `rigorous`",
+    )
+    batch: int = Field(
+        default=1,
+        ge=1,
+        le=LARGEST_BATCH,
+        exclude_if=lambda batch: batch == 1,
+        description="rollouts that a worker simulates for one assignment, and that are one file: those of a test, or of"
+        " consecutive tests whose starts no rollout decides",
     )
     visual: Literal["all", "none"] = Field(
         default="all", description="whether trajectory files have a visual part for viewers"

@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self, TypeVar
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 
 from ..base import Model
+from ..batch import BatchRequest
 from ..errors import MessageError, one_line, shortened
 from ..failure import FailureKind
 from ..ranges import MAX_FILE_BYTES, AttemptNumber, ProcessId, ProtocolNumber, Seconds, StepCount
@@ -14,6 +15,8 @@ from ..rollout import RolloutRequest, Sha256
 PROTOCOL = 3
 MAX_MESSAGE = 64 * 1024
 """Bytes of a JSON message."""
+MAX_REQUEST = 2**20
+"""Bytes of a message of the orchestrator, which may be the request for a batch."""
 MAX_RESULT = MAX_FILE_BYTES
 """Bytes of one trajectory file."""
 
@@ -35,6 +38,15 @@ class Assign(Model):
     attempt: AttemptNumber
     secret: Secret = Field(description="of this attempt on this worker: with it the result is proved")
     request: RolloutRequest
+
+
+class AssignBatch(Model):
+    """Simulate this batch; everything else names it by its first rollout."""
+
+    type: Literal["assign_batch"] = "assign_batch"
+    attempt: AttemptNumber
+    secret: Secret = Field(description="of this attempt on this worker: with it the result is proved")
+    request: BatchRequest
 
 
 class Cancel(Model):
@@ -82,7 +94,7 @@ class HeartbeatInterval(Model):
     seconds: float = Field(ge=0.1, le=600)
 
 
-Request = Assign | Cancel | Ack | Refuse | Release | RunFinished | HeartbeatInterval
+Request = Assign | AssignBatch | Cancel | Ack | Refuse | Release | RunFinished | HeartbeatInterval
 
 
 class WorkerState(Model):
@@ -156,7 +168,7 @@ def decode_request(payload: bytes) -> Request:
         MessageError: it is too large or not of the protocol.
 
     """
-    return _validated(_REQUEST, payload)
+    return _validated(_REQUEST, payload, MAX_REQUEST)
 
 
 def decode_state(payload: bytes) -> WorkerState:
@@ -169,9 +181,9 @@ def decode_header(payload: bytes) -> ResultHeader:
     return _validated(_HEADER, payload)
 
 
-def _validated(adapter: TypeAdapter[T], payload: bytes) -> T:
-    if len(payload) > MAX_MESSAGE:
-        raise MessageError(f"{len(payload)} bytes are more than the {MAX_MESSAGE} of a message")
+def _validated(adapter: TypeAdapter[T], payload: bytes, most: int = MAX_MESSAGE) -> T:
+    if len(payload) > most:
+        raise MessageError(f"{len(payload)} bytes are more than the {most} of a message")
     try:
         return adapter.validate_json(payload)
     except ValidationError as error:

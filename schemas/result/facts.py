@@ -116,6 +116,8 @@ class RolloutFact:
     """Whether the tolerance around its time stamps could decide a sign, that of a requirement included."""
     ended: float | None = None
     """s at which it ended before the horizon, of a system with `after_end`."""
+    batch: str = ""
+    """Of a rollout of a batch: the sha256 of the file that it shares with the others; `sha256` is then its own."""
 
 
 @dataclass(frozen=True, slots=True)

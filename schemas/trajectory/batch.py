@@ -15,18 +15,21 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..base import canonical_json
-from ..batch import LARGEST_BATCH
+from ..batch import BatchRequest
 from ..errors import TrajectoryError, UnusableTrajectoryError, shortened
+from ..ids import RolloutId
 from ..instants import disorder
+from ..ranges import LARGEST_BATCH
 from .canonical import EVIDENCE, FAILURES, OF_BATCH, REQUEST, TIME, canonical_evidence, canonical_file
 from .file_checks import check_checksums, check_length, check_sizes
 from .npy import from_npy, to_npy
-from .trajectory import MALFORMED, Trajectory, check_columns, check_finite
+from .trajectory import MALFORMED, File, Trajectory, check_columns, check_finite
 from .visual import Floats
 
 
@@ -125,6 +128,33 @@ class BatchFile(NamedTuple):
     request: bytes
     metadata: dict[str, str]
 
+    def place(self, rollout: RolloutId) -> int:
+        """Return the place of a rollout in the batch; raises ValueError if it is not there."""
+        return self._requested.rollouts.index(rollout)
+
+    def alone(self, rollout: RolloutId) -> File:
+        """Return one rollout with the request and the metadata that its own file would have.
+
+        Raises:
+            TrajectoryError: it has failed, or is not in the batch.
+
+        """
+        try:
+            place = self.place(rollout)
+            request = self._requested.single(place)
+            return File(self.batch.trajectory(place), request.model_dump(mode="json"), request.metadata)
+        except (KeyError, ValueError) as error:
+            raise TrajectoryError(f"{rollout} is not in the file of its batch: {error}") from None
+
+    @property
+    def _requested(self) -> BatchRequest:
+        return _parsed(self.request)
+
+
+@lru_cache(maxsize=4)
+def _parsed(request: bytes) -> BatchRequest:
+    return BatchRequest.model_validate_json(request)
+
 
 def encode_batch(batch: Batch, *, request: Mapping[str, Any], metadata: Mapping[str, str]) -> bytes:
     """Return the batch's file: equal arguments give equal bytes; raises ValueError for a number that is not finite."""
@@ -166,6 +196,16 @@ def read_batch(data: bytes) -> BatchFile:
         return BatchFile(batch, attachments[REQUEST], metadata)
     except MALFORMED as error:
         raise TrajectoryError(f"not a batch's file: {type(error).__name__}: {error}") from error
+
+
+def with_failures(data: bytes, failures: Mapping[int, str]) -> bytes:
+    """Return the file of the same batch in which these rollouts have failed; raises as `read_batch`."""
+    batch, request, metadata = read_batch(data)
+    values = batch.values.copy()
+    values[:, list(failures)] = 0.0
+    failed = Batch(batch.columns, batch.time, values, failures)
+    rest = {name: value for name, value in metadata.items() if name != "columns"}
+    return encode_batch(failed, request=json.loads(request), metadata=rest)
 
 
 def _failures(content: bytes | None) -> dict[int, str]:

@@ -30,6 +30,7 @@ from perfbound.orchestrator.certificate.words import text
 from perfbound.orchestrator.mathematics.stl.errors import FormulaError
 from perfbound.orchestrator.mathematics.stl.parser import parse_formula
 from perfbound.orchestrator.mathematics.stl.robustness import robustness
+from perfbound.orchestrator.store import facts as recorded_facts
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.changes import ChangeReader
 from perfbound.orchestrator.store.journal import Journal
@@ -158,7 +159,7 @@ def opened(directory: Path) -> None:
         read.observed,
         read.attempts,
         read.irreproducible,
-        read.history,
+        recorded_facts.history,
         read.system_reference,
         lambda path: ChangeReader(path).read(),
         replayed,

@@ -9,11 +9,12 @@ from dataclasses import asdict
 from typing import Any
 
 from ....schemas.base import digest
+from ....schemas.ids import FileId, RolloutId
+from ....schemas.result.block_facts import BatchFact, BlockObservationFact, BlockProposalFact, StoredFact, places
 from ....schemas.result.facts import (
     BoundFact,
     DiscardFact,
     ExtensionFact,
-    Fact,
     Header,
     ObservationFact,
     ProposalFact,
@@ -74,7 +75,7 @@ def _text(value: object) -> str:
     return text if len(text) <= 80 else f"{text[:77]}..."
 
 
-def tables(header: Header, recomputed: Iterable[Fact], stored: UntrustedFacts) -> tuple[str | None, str]:
+def tables(header: Header, recomputed: Iterable[StoredFact], stored: UntrustedFacts) -> tuple[str | None, str]:
     """Compare every table with the recomputed facts; return the fault or None, and the tables compared."""
     derived = _by_key(recomputed)
     compared, gone = [], []
@@ -106,15 +107,17 @@ def tables(header: Header, recomputed: Iterable[Fact], stored: UntrustedFacts) -
     return None, f"{', '.join(compared) or 'nothing'}{left}"
 
 
-def _table(header: Header, name: str, derived: Mapping[object, Fact], rows: Sequence[Fact]) -> str | None:
+def _table(header: Header, name: str, derived: Mapping[object, StoredFact], rows: Sequence[StoredFact]) -> str | None:
     written = _by_key(rows)
     if len(written) != len(rows):
         return f"table {name}: a row is repeated"
-    kind = type(rows[0])
-    wanted = {key: fact for key, fact in derived.items() if isinstance(fact, kind)}
+    kinds = KINDS[name]
+    wanted = {key: fact for key, fact in derived.items() if isinstance(fact, kinds)}
     for key, fact in wanted.items():
         if key not in written:
             return f"table {name}: {_label(fact)} is missing"
+        if fact == written[key]:
+            continue
         found = difference(_values(fact), _values(written[key]))
         if found:
             return f"table {name}, {_label(fact)}: {found}"
@@ -122,9 +125,23 @@ def _table(header: Header, name: str, derived: Mapping[object, Fact], rows: Sequ
     return f"table {name}: {_label(extra[0])} does not follow from the evidence" if extra else None
 
 
-def _in_flight(header: Header, derived: Mapping[object, Fact], fact: Fact) -> bool:
+KINDS: Mapping[str, tuple[type, ...]] = {
+    "tests": (ProposalFact, BlockProposalFact),
+    "rollouts": (RolloutFact, BatchFact),
+    "discards": (DiscardFact,),
+    "observations": (ObservationFact, BlockObservationFact),
+    "bounds": (BoundFact,),
+    "extensions": (ExtensionFact,),
+}
+"""The facts of each table."""
+
+
+def _in_flight(header: Header, derived: Mapping[object, StoredFact], fact: StoredFact) -> bool:
     """Whether this is a rollout of a test that was proposed, and not observed because its problem had stopped."""
     # It was recorded before the stop, and so depends on the workers; the manifest and the rerun do not have it.
+    if isinstance(fact, BatchFact):
+        seeds = [rollout_seed(header, rollout) for rollout in fact.rollouts]
+        return not _observed(derived, fact.rollout) and fact.seeds.tolist() == seeds
     if not isinstance(fact, RolloutFact | DiscardFact):
         return False
     test = f"{fact.rollout.problem}, test {fact.rollout.test}"
@@ -132,14 +149,22 @@ def _in_flight(header: Header, derived: Mapping[object, Fact], fact: Fact) -> bo
     return open_test and fact.seed == rollout_seed(header, fact.rollout)
 
 
-def _by_key(facts: Iterable[Fact]) -> dict[object, Fact]:
+def _observed(derived: Mapping[object, StoredFact], rollout: RolloutId) -> bool:
+    """Whether the test of a rollout of a batch is observed."""
+    if (ObservationFact, f"{rollout.problem}, test {rollout.test}") in derived:
+        return True
+    blocks = (fact for fact in derived.values() if isinstance(fact, BlockObservationFact))
+    return any(each.problem == rollout.problem and each.test <= rollout.test < each.test + len(each) for each in blocks)
+
+
+def _by_key(facts: Iterable[StoredFact]) -> dict[object, StoredFact]:
     return {(type(fact), _label(fact)): fact for fact in facts}
 
 
-def _label(fact: Fact) -> str:
+def _label(fact: StoredFact) -> str:
     match fact:
-        case RolloutFact(rollout):
-            return str(rollout)
+        case RolloutFact(rollout) | BatchFact(rollout):
+            return str(FileId(rollout, places(fact)))
         case DiscardFact(rollout):
             return f"{rollout}, {fact.sha256[:16]}..."
         case ExtensionFact(number):
@@ -148,7 +173,7 @@ def _label(fact: Fact) -> str:
             return f"{fact.problem}, test {fact.test}"
 
 
-def _values(fact: Fact) -> dict[str, Any]:
+def _values(fact: StoredFact) -> dict[str, Any]:
     # Without the chain, which has a check of its own: it depends on the last digits of the proposals.
     match fact:
         case ProposalFact(proposal=chosen):
@@ -157,19 +182,29 @@ def _values(fact: Fact) -> dict[str, Any]:
             return asdict(found)
         case BoundFact(bound=bound):
             return {"upper": bound.upper, "lower": bound.lower, "stopped_by": fact.stopped_by}
-        case RolloutFact() | DiscardFact() | ExtensionFact():
+        case BlockProposalFact():
+            return {"nodes": fact.nodes.tolist(), "x": fact.x.tolist()}
+        case BlockObservationFact():
+            return {"y": fact.y.tolist(), "each": fact.contributions.tolist()}
+        case RolloutFact() | BatchFact() | DiscardFact() | ExtensionFact():
             return asdict(fact)
 
 
-def chain_head(header: Header, recomputed: Sequence[Fact], recorded: Sequence[ProposalFact]) -> str:
+def chain_head(
+    header: Header, recomputed: Sequence[StoredFact], recorded: Sequence[ProposalFact | BlockProposalFact]
+) -> str:
     """Return the head of the hash chain over the recomputed facts, with the numbers of the recorded proposals."""
     # Their last digits depend on the CPU. Table `tests` is compared with the recomputed ones on its own.
-    written = {(fact.problem, fact.test): fact for fact in recorded}
+    written = {(fact.problem, fact.test): fact for fact in recorded if isinstance(fact, ProposalFact)}
     proposals = (fact for fact in recomputed if isinstance(fact, ProposalFact))
     chosen = {(fact.problem, fact.test): written.get((fact.problem, fact.test), fact) for fact in proposals}
     rollouts: dict[tuple[str, int], list[RolloutFact]] = {}
     discards: dict[tuple[str, int], list[DiscardFact]] = {}
+    blocks = {fact.problem for fact in recomputed if isinstance(fact, BlockProposalFact)}
     for fact in recomputed:
+        if isinstance(fact, BatchFact) and fact.rollout.problem not in blocks:
+            for each in fact.each():
+                rollouts.setdefault((each.rollout.problem, each.rollout.test), []).append(each)
         if isinstance(fact, RolloutFact):
             rollouts.setdefault((fact.rollout.problem, fact.rollout.test), []).append(fact)
         if isinstance(fact, DiscardFact):
@@ -178,6 +213,8 @@ def chain_head(header: Header, recomputed: Sequence[Fact], recorded: Sequence[Pr
     for fact in recomputed:
         if isinstance(fact, ExtensionFact):
             links |= {each.name: extended_link(links[each.name], fact) for each in header.config.problems}
+        if isinstance(fact, BlockObservationFact):
+            links[fact.problem] = fact.chain  # its proposals have no digits that depend on the CPU
         if isinstance(fact, ObservationFact):
             test = (fact.problem, fact.test)
             # A check has its first link when its first test comes.

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from ....schemas.batch import alone
 from ....schemas.errors import EvidenceError
 from ....schemas.ids import RolloutId
 from ....schemas.result.certificate import Certificate
@@ -41,11 +42,12 @@ def check_discard(
 
     """
     rollout = fact.rollout
+    request = alone(ledger.request(rollout))
     try:
-        trajectory = admit(ledger.request(rollout), columns, payload, fact.sha256)
+        trajectory = admit(request, columns, payload, fact.sha256)
     except EvidenceError as fault:
         raise CheckFailed("trajectories", f"{fact.path}: {fault}") from None
     # Else a rollout with an unwelcome outcome could be discarded.
     if objective_fault(ledger, rollout, trajectory, others) is None:
         raise CheckFailed("observations", f"{fact.path}: was discarded, although the objective can be computed from it")
-    return DiscardFact(rollout, ledger.request(rollout).seed, fact.sha256, len(payload), fact.path, fact.reason)
+    return DiscardFact(rollout, request.seed, fact.sha256, len(payload), fact.path, fact.reason)

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ....schemas.errors import EvidenceError
-from ....schemas.ids import RolloutId
+from ....schemas.ids import FileId, RolloutId
 from ...store import files
 from .checks import CheckFailed
 
 _ROLLOUT = r"[a-z_]{1,40}\.\d{1,9}\.[a-z]{1,10}\.\d{1,6}"
-_LINE = re.compile(rf"([0-9a-f]{{64}})  (trajectories/[a-z_]+/\d{{1,6}}/({_ROLLOUT})\.mcap)")
+_LINE = re.compile(rf"([0-9a-f]{{64}})  (trajectories/[a-z_]+/\d{{1,6}}/({_ROLLOUT}(?:\.\d{{1,4}})?)\.mcap)")
 _KEPT = re.compile(rf"([0-9a-f]{{64}})  ({files.DISCARDED}/({_ROLLOUT})\.[0-9a-f]{{16}}\.mcap)")
 SHOWN = 3
 """Damaged files that a failed check names."""
@@ -43,25 +43,25 @@ def split_manifest(text: str) -> tuple[str, list[tuple[RolloutId, Entry]]]:
     return "".join(lines), kept
 
 
-def parse_manifest(text: str) -> Mapping[RolloutId, Entry]:
-    """Return the files of the observed rollouts of a manifest, in its order.
+def parse_manifest(text: str) -> Mapping[FileId, Entry]:
+    """Return the files of the observed rollouts and batches of a manifest, in its order.
 
     Raises:
         CheckFailed: a line has another form, or a rollout is listed twice.
 
     """
-    found: dict[RolloutId, Entry] = {}
+    found: dict[FileId, Entry] = {}
     for number, line in enumerate(text.splitlines(), start=1):
         # One form only: a path with `..` or a second spelling of a rollout could point at other files.
         match = _LINE.fullmatch(line)
         if match is None or not line.isascii():
             raise CheckFailed("manifest", f"line {number} is not a digest and the path of a trajectory")
-        rollout = RolloutId.parse(match[3])
-        if files.relative_path(rollout) != match[2]:
-            raise CheckFailed("manifest", f"line {number}: {match[2]} is not the path of {rollout}")
-        if rollout in found:
-            raise CheckFailed("manifest", f"line {number}: {rollout} is listed twice")
-        found[rollout] = Entry(match[1], match[2])
+        file = FileId.parse(match[3])
+        if files.relative_path(file) != match[2]:
+            raise CheckFailed("manifest", f"line {number}: {match[2]} is not the path of {file}")
+        if file in found:
+            raise CheckFailed("manifest", f"line {number}: {file} is listed twice")
+        found[file] = Entry(match[1], match[2])
     return found
 
 

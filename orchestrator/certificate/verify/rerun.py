@@ -9,21 +9,26 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+
+from ....schemas.batch import BatchRequest, file_of
 from ....schemas.errors import EvidenceError, IllegalEvent, PerfboundError, RequestError, TrajectoryError
-from ....schemas.ids import RolloutId
+from ....schemas.ids import FileId, RolloutId
+from ....schemas.result.block_facts import BatchFact, BlockObservationFact, BlockProposalFact, StoredFact, places
 from ....schemas.result.facts import (
     DiscardFact,
     ExtensionFact,
-    Fact,
     Header,
     ObservationFact,
     ProposalFact,
     RolloutFact,
 )
+from ....schemas.trajectory.batch import Batch, read_batch
 from ....schemas.trajectory.trajectory import Trajectory, decode, read_mcap
 from ....schemas.values import Proposal
-from ...campaign.admission import admit
-from ...campaign.ledger import Ledger, Work
+from ...campaign.admission import admit_either, scored
+from ...campaign.decisions import Follow
+from ...campaign.ledger import Ledger, Scored, Work
 from ...store import files
 from .checks import CheckFailed
 from .discards import check_discard
@@ -35,34 +40,45 @@ class MemoryFactStore:
 
     def __init__(self, header: Header) -> None:
         self.header = header
-        self.written: list[Fact] = []
+        self.written: list[StoredFact] = []
         self._rollouts: dict[RolloutId, RolloutFact] = {}
         self._proposals: dict[tuple[str, int], ProposalFact] = {}
+        self._batched: dict[RolloutId, BatchFact] = {}
+        self._blocks: dict[tuple[str, int], BlockProposalFact] = {}
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
         """Do nothing: there is nothing to make durable."""
         yield
 
-    def add(self, fact: Fact) -> None:
+    def add(self, fact: StoredFact) -> None:
         """Append a fact."""
         self.written.append(fact)
         if isinstance(fact, RolloutFact):
             self._rollouts[fact.rollout] = fact
         elif isinstance(fact, ProposalFact):
             self._proposals[fact.problem, fact.test] = fact
+        elif isinstance(fact, BatchFact):
+            for rollout in fact.rollouts:
+                self._batched[rollout] = fact
+        elif isinstance(fact, BlockProposalFact):
+            for test in range(fact.test, fact.test + len(fact)):
+                self._blocks[fact.problem, test] = fact
 
-    def facts(self) -> Iterator[Fact]:
+    def facts(self) -> Iterator[StoredFact]:
         """Yield all facts in their order."""
         return iter(self.written)
 
     def rollout(self, rollout: RolloutId) -> RolloutFact:
         """Return a recorded rollout."""
-        return self._rollouts[rollout]
+        if rollout in self._rollouts:
+            return self._rollouts[rollout]
+        return next(each for each in self._batched[rollout].each() if each.rollout == rollout)
 
     def proposal(self, problem: str, test: int) -> ProposalFact:
         """Return the proposal of a test that has one."""
-        return self._proposals[problem, test]
+        found = self._proposals.get((problem, test))
+        return found or self._blocks[problem, test].of_test(test)
 
 
 class NullFileStore:
@@ -85,34 +101,41 @@ class Rerun:
         self,
         directory: Path,
         header: Header,
-        entries: Mapping[RolloutId, Entry],
+        entries: Mapping[FileId, Entry],
         discards: Sequence[DiscardFact] = (),
         extensions: Sequence[ExtensionFact] = (),
     ) -> None:
         self._extensions = deque(extensions)
         self._directory, self._entries, self._discards = directory, entries, list(discards)
-        self._first: dict[tuple[str, int], RolloutId] = {}
+        self._first: dict[tuple[str, int], FileId] = {}
         # The request in the first file of a test has its start; the file must then fit the whole request.
-        for rollout in entries:
-            self._first.setdefault(rollout[:2], rollout)
+        for file in entries:
+            self._first.setdefault(file.rollout[:2], file)
         self._columns = tuple(column.name for column in header.spec.columns)
         self._store = MemoryFactStore(header)
         self.ties = 0
         """Tests for which this machine chooses another one of equal value."""
         # The same ledger, no second implementation: two that disagree in the ninth digit prove nothing about tampering.
-        self.ledger = Ledger(directory, self._store, files=NullFileStore(), follow=self._follow)
+        self.ledger = Ledger(
+            directory, self._store, files=NullFileStore(), follow=Follow(self._follow, self._follow_block)
+        )
 
     @property
-    def facts(self) -> list[Fact]:
+    def facts(self) -> list[StoredFact]:
         """All facts, in their order."""
         return self._store.written
 
     def observed(self) -> list[tuple[str, str]]:
         """Return (sha256, path) of every rollout behind an observation, in the order of the manifest."""
-        tests = {(fact.problem, fact.test) for fact in self.facts if isinstance(fact, ObservationFact)}
+        tests = set[tuple[str, int]]()
+        for fact in self.facts:
+            if isinstance(fact, ObservationFact):
+                tests.add((fact.problem, fact.test))
+            elif isinstance(fact, BlockObservationFact):
+                tests.update((fact.problem, test) for test in range(fact.test, fact.test + len(fact)))
         order = list(self.ledger.series)
-        found = [f for f in self.facts if isinstance(f, RolloutFact) and f.rollout[:2] in tests]
-        found.sort(key=lambda fact: (order.index(fact.rollout.problem), *fact.rollout[1:]))
+        found = [f for f in self.facts if isinstance(f, RolloutFact | BatchFact) and f.rollout[:2] in tests]
+        found.sort(key=lambda fact: (order.index(fact.rollout.problem), *fact.rollout[1:], -places(fact)))
         return [(fact.sha256, fact.path) for fact in found]
 
     def play(self, progress: Callable[[int], None]) -> None:
@@ -123,21 +146,22 @@ class Rerun:
 
         """
         self._check_size()
-        used, missing = set[RolloutId](), list[RolloutId]()
+        used, missing = set[FileId](), list[RolloutId]()
         waiting = deque(self._step(self.ledger.outstanding))
         while waiting or self._extensions:
             if not waiting:
                 waiting.extend(self._extend(missing))
                 continue
             rollout = waiting.popleft()
-            if rollout not in self._entries:
+            file = file_of(self.ledger.request(rollout))
+            if file not in self._entries:
                 missing.append(rollout)  # legal if its problem stops before it is needed
                 continue
             # Evidence is what was observed: a file from after the stop could have been chosen by its outcome.
             if rollout.problem in self._stopped():
                 raise CheckFailed("stop", f"{rollout} is in the manifest, but its problem had stopped before it")
-            waiting.extend(self._take(rollout))
-            used.add(rollout)
+            waiting.extend(self._take(rollout, self._entries[file]))
+            used.add(file)
             progress(len(used))
         self._check_end(used, missing)
 
@@ -145,7 +169,8 @@ class Rerun:
         """Refuse a campaign whose first tests alone need more rollouts than the manifest has."""
         # The header is untrusted: 10^9 replicates in it would fill the memory before a file is missing.
         for each in self.ledger.state.problems:
-            listed = sum(rollout.problem == each.plan.problem for rollout in self._entries)
+            mine = (file for file in self._entries if file.rollout.problem == each.plan.problem)
+            listed = sum(file.places or 1 for file in mine)
             if listed < len(each.plan.rollouts):
                 wanted = f"{len(each.plan.rollouts)} rollouts a test"
                 raise CheckFailed("evidence", f"{each.plan.problem} needs {wanted}, the manifest lists {listed}")
@@ -183,25 +208,30 @@ class Rerun:
         def others(key: tuple[str, int]) -> list[Trajectory]:
             partner = RolloutId(*fact.rollout[:2], *key)
             found = [Entry(each.sha256, each.path) for each in mine if each.rollout == partner]
-            found += [self._entries[partner]] if partner in self._entries else []
+            found += [self._entries[FileId(partner)]] if FileId(partner) in self._entries else []
             return [decode(self._read(entry)) for entry in found]
 
         payload = self._read(Entry(fact.sha256, fact.path))
         return check_discard(self.ledger, fact, self._columns, payload, others)
 
-    def _take(self, rollout: RolloutId) -> Sequence[RolloutId]:
+    def _take(self, rollout: RolloutId, entry: Entry) -> Sequence[RolloutId]:
         if self._discards:
             self._discard(rollout)
-        entry = self._entries[rollout]
         payload = self._read(entry)
         # As the service admits a result: the request follows from the decisions so far, not from the file.
         try:
-            trajectory = admit(self.ledger.request(rollout), self._columns, payload, entry.sha256)
+            request = self.ledger.request(rollout)
+            admitted = admit_either(request, self._columns, payload, entry.sha256)
+            if isinstance(admitted, Batch):
+                assert isinstance(request, BatchRequest)
+                found: Trajectory | Scored = scored(self.ledger, request, admitted)
+            else:
+                found = admitted
         except RequestError as error:
             raise CheckFailed("requests", f"{entry.path}: {error}") from None
         except EvidenceError as error:
             raise CheckFailed("trajectories", f"{entry.path}: {error}") from None
-        return self._step(lambda: self.ledger.record(rollout, payload, trajectory, entry.sha256))
+        return self._step(lambda: self.ledger.record(rollout, payload, found, entry.sha256))
 
     def _read(self, entry: Entry) -> bytes:
         try:
@@ -225,23 +255,46 @@ class Rerun:
 
     def _start(self, problem: str, test: int) -> tuple[float, ...] | None:
         """Return the start of a test, from the request in its first file."""
-        rollout = self._first.get((problem, test))
-        if rollout is None:
+        file = self._first.get((problem, test))
+        if file is None:
             return None
-        entry = self._entries[rollout]
+        entry = self._entries[file]
         try:
-            found = read_mcap(self._read(entry)).request["x"]
+            found = self._starts(file)[0] if file.places else read_mcap(self._read(entry)).request["x"]
             return tuple(float(value) for value in found)
         except (TrajectoryError, KeyError, TypeError, ValueError, OverflowError) as error:
             raise CheckFailed("trajectories", f"{entry.path}: {error}") from None
 
-    def _check_end(self, used: set[RolloutId], missing: Sequence[RolloutId]) -> None:
+    def _follow_block(
+        self, own: BlockProposalFact, rival: Callable[[int, Sequence[float]], Proposal | None]
+    ) -> BlockProposalFact:
+        """Return the recorded starts of a block, if they are its own up to round-off; see `_follow`."""
+        file = self._first.get((own.problem, own.test))
+        if file is None:
+            return own
+        try:
+            x = np.array(self._starts(file))
+        except (TrajectoryError, ValueError) as error:
+            raise CheckFailed("trajectories", f"{self._entries[file].path}: {error}") from None
+        if x.shape != own.x.shape:
+            found = f"{x.shape} starts are in its file, {own.x.shape} follow from the campaign"
+            raise CheckFailed("proposals", f"{own.problem}, tests from {own.test}: {found}")
+        for place in np.flatnonzero((x != own.x).any(axis=1)).tolist():
+            if rival(place, x[place].tolist()) is None:
+                found = f"{x[place].tolist()} was tested, {own.x[place].tolist()} follows from the campaign"
+                raise CheckFailed("proposals", f"{own.problem}, test {own.test + place}: {found}")
+            self.ties += 1
+        return BlockProposalFact.of(own.problem, own.test, own.nodes, x)
+
+    def _starts(self, file: FileId) -> tuple[tuple[float, ...], ...]:
+        return BatchRequest.model_validate_json(read_batch(self._read(self._entries[file])).request).x
+
+    def _check_end(self, used: set[FileId], missing: Sequence[RolloutId]) -> None:
         # A campaign cut at a good moment: its rule has not stopped it.
         if not self.ledger.done:
             gone = next(rollout for rollout in missing if rollout.problem not in self._stopped())
             raise CheckFailed("stop", f"the campaign does not end there: {gone} is due next, and the manifest lacks it")
-        extra = [rollout for rollout in self._entries if rollout not in used] + [
-            each.rollout for each in self._discards
-        ]
+        extra: list[object] = [file for file in self._entries if file not in used]
+        extra += [each.rollout for each in self._discards]
         if extra:
             raise CheckFailed("evidence", f"{len(extra)} rollouts belong to no observed test: {extra[0]}")

@@ -12,8 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from ....schemas.base import canonical_json
-from ....schemas.ids import RolloutId
+from ....schemas.batch import BatchRequest
+from ....schemas.ids import FileId
 from ....schemas.rollout import RolloutRequest
+from ....schemas.trajectory.batch import read_batch
 from ....schemas.trajectory.trajectory import Trajectory, read_mcap
 from ...mathematics.bounds.one_law.share import unseen_share
 from ...store import files
@@ -24,7 +26,7 @@ AT_A_TIME = 2
 TOLERANCE = 1e-9
 """The largest difference that another type of machine may cause, in the unit of the column."""
 
-Simulate = Callable[[Path, RolloutRequest], None]
+Simulate = Callable[[Path, RolloutRequest | BatchRequest], None]
 """Writes the file of a rollout."""
 
 
@@ -32,7 +34,7 @@ Simulate = Callable[[Path, RolloutRequest], None]
 class Resimulation:
     """One rollout that was simulated again, compared with its recorded trajectory."""
 
-    rollout: RolloutId
+    file: FileId
     bitwise: bool
     difference: float
     """The largest one of any number, in the unit of its column."""
@@ -40,7 +42,7 @@ class Resimulation:
 
 def resimulate(
     directory: Path,
-    entries: Mapping[RolloutId, Entry],
+    entries: Mapping[FileId, Entry],
     count: int,
     progress: Callable[[int], None],
     simulate: Simulate,
@@ -57,30 +59,42 @@ def resimulate(
     chosen = chooser.sample(sorted(entries), min(count, len(entries)))
     found: list[Resimulation] = []
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(AT_A_TIME) as pool:
-        tasks = ((directory, rollout, entries[rollout], Path(folder), simulate) for rollout in chosen)
+        tasks = ((directory, file, entries[file], Path(folder), simulate) for file in chosen)
         for again in pool.map(lambda task: _simulate_again(*task), tasks):
             found.append(again)
             progress(len(found))
     return tuple(found)
 
 
-def _simulate_again(
-    directory: Path, rollout: RolloutId, entry: Entry, folder: Path, simulate: Simulate
-) -> Resimulation:
+def _simulate_again(directory: Path, file: FileId, entry: Entry, folder: Path, simulate: Simulate) -> Resimulation:
     before = files.read_evidence(directory, entry.path, entry.sha256)
-    recorded = read_mcap(before)
-    out = folder / f"{rollout}.mcap"
-    request = RolloutRequest.model_validate_json(canonical_json(recorded.request))
-    simulate(out, request)
+    out = folder / f"{file}.mcap"
+    if file.places:
+        simulate(out, BatchRequest.model_validate_json(read_batch(before).request))
+    else:
+        simulate(out, RolloutRequest.model_validate_json(canonical_json(read_mcap(before).request)))
     after = out.read_bytes()
     out.unlink()
     if after == before:
-        return Resimulation(rollout, bitwise=True, difference=0.0)
-    distance = _sample_difference(recorded.trajectory, read_mcap(after).trajectory)
+        return Resimulation(file, bitwise=True, difference=0.0)
+    distance = _batch_difference(before, after) if file.places else _difference(before, after)
     # In this form a NaN, of which every comparison is false, fails.
     if not distance <= TOLERANCE:
-        raise CheckFailed("resimulation", f"{rollout}: simulated again, it differs by up to {distance:.3g}")
-    return Resimulation(rollout, bitwise=False, difference=distance)
+        raise CheckFailed("resimulation", f"{file}: simulated again, it differs by up to {distance:.3g}")
+    return Resimulation(file, bitwise=distance == 0.0 and file.places > 0, difference=distance)
+
+
+def _batch_difference(before: bytes, after: bytes) -> float:
+    """Return the largest difference of any number; a rollout that failed in one of the two is left out."""
+    a, b = read_batch(before).batch, read_batch(after).batch
+    if a.columns != b.columns or a.values.shape != b.values.shape:
+        return float("inf")
+    both = sorted({*a.succeeded} & {*b.succeeded})
+    return float(max(np.max(np.abs(a.time - b.time)), np.max(np.abs(a.values[:, both] - b.values[:, both]), initial=0)))
+
+
+def _difference(before: bytes, after: bytes) -> float:
+    return _sample_difference(read_mcap(before).trajectory, read_mcap(after).trajectory)
 
 
 def _sample_difference(a: Trajectory, b: Trajectory) -> float:

@@ -12,13 +12,15 @@ from functools import partial
 from pathlib import Path
 
 from ....schemas import __version__
+from ....schemas.batch import BatchRequest
 from ....schemas.errors import JournalError, Stopped
-from ....schemas.ids import RolloutId
+from ....schemas.ids import FileId, RolloutId
+from ....schemas.result.block_facts import BlockProposalFact
 from ....schemas.result.certificate import Assumption, Certificate
-from ....schemas.result.facts import ExtensionFact, Header, ObservationFact, ProposalFact
+from ....schemas.result.facts import ExtensionFact, Header, ProposalFact
 from ....schemas.rollout import RolloutRequest
 from ...campaign.checks import check
-from ...campaign.ledger import observed_discards
+from ...campaign.ledger import observed_discards, observed_rollouts
 from ...campaign.software import other_numerics
 from ...fleet.children.simulate import simulate_to
 from ...store import files as evidence
@@ -193,7 +195,7 @@ def _of(header: Header) -> str:
 
 def _manifest(
     directory: Path, certificate: Certificate, checks: Checks
-) -> tuple[str, Mapping[RolloutId, Entry], list[tuple[RolloutId, Entry]]]:
+) -> tuple[str, Mapping[FileId, Entry], list[tuple[RolloutId, Entry]]]:
     data = evidence.contents(directory / files.MANIFEST, files.MAX_MANIFEST)
     found = sha256_of(data)
     if certificate.predicate.evidence.manifest_sha256 != found or certificate.subject != (subject(found),):
@@ -206,7 +208,7 @@ def _manifest(
 
 
 def _campaign(rerun: Rerun, text: str, certificate: Certificate, checks: Checks) -> None:
-    tests = sum(isinstance(fact, ObservationFact) for fact in rerun.facts)
+    tests = sum(len(each.observations) for each in rerun.ledger.series.values())
     accounts = rerun.ledger.series
     ends = ", ".join(f"{name}: {a.last_bound.stopped_by}" for name, a in accounts.items() if a.last_bound)
     ends += "".join(f"; extended to {max(tests for _, tests in each.budgets)}" for each in rerun.ledger.extensions)
@@ -225,7 +227,7 @@ def _complete(rerun: Rerun, text: str, certificate: Certificate) -> str | None:
     counted = certificate.predicate.evidence.rollouts
     if expected.text != text:
         return "the lines of the manifest are not in the order of problems, tests and rollouts"
-    rollouts = expected.rollouts
+    rollouts = observed_rollouts(rerun.ledger)
     return None if rollouts == counted else f"the certificate counts {counted} rollouts, the evidence has {rollouts}"
 
 
@@ -263,7 +265,8 @@ def _chain(
     proposals = stored.proposals if stored else ()
     header, recorded = rerun.ledger.header, certificate.predicate.evidence.chain_head
     head = compare.chain_head(header, rerun.facts, proposals)
-    complete = len(proposals) >= sum(isinstance(fact, ProposalFact) for fact in rerun.facts)
+    wanted = sum(isinstance(fact, ProposalFact | BlockProposalFact) for fact in rerun.facts)
+    complete = len(proposals) >= wanted
     if head == recorded:
         checks.passed("chain", f"{head[:16]}...")
     elif complete or same_numerics:
@@ -288,13 +291,13 @@ def _software(header: Header, checks: Checks) -> bool:
     return not other
 
 
-def _simulate(header: Header, system: str | None, path: Path, request: RolloutRequest) -> None:
+def _simulate(header: Header, system: str | None, path: Path, request: RolloutRequest | BatchRequest) -> None:
     simulate_to(path, request, header.spec, system, limit=header.config.deadline)
 
 
 def _resimulation(
     directory: Path,
-    entries: Mapping[RolloutId, Entry],
+    entries: Mapping[FileId, Entry],
     rollouts: int,
     simulate: Simulate,
     *,

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from ....schemas.batch import BatchRequest, alone
 from ....schemas.errors import PerfboundError, Stopped, meant
 from ....schemas.file.config import CampaignConfig
 from ....schemas.file.parameters import signal_shapes
@@ -75,7 +76,7 @@ def chosen_horizon(spec: SystemSpec, horizon: float | None) -> float:
 
 def simulate_to(
     path: Path,
-    request: RolloutRequest,
+    request: RolloutRequest | BatchRequest,
     spec: SystemSpec,
     system: str | None,
     *,
@@ -91,8 +92,12 @@ def simulate_to(
         Stopped: with what was ended.
 
     """
-    words, started = f"the rollout of {spec.name} at {request.words(spec)}", time.monotonic()
-    arguments = ("--request", request.model_dump_json(), "--out", str(path), *system_options(system))
+    words, started = f"the {_name_of(request)} of {spec.name} at {alone(request).words(spec)}", time.monotonic()
+    given, text = path.with_name(f"{path.name}.request"), request.model_dump_json()
+    if isinstance(request, BatchRequest):  # longer than an argument may be
+        given.write_text(text)
+        text = f"@{given}"
+    arguments = ("--request", text, "--out", str(path), *system_options(system))
     try:
         ask("simulate", *arguments, limit=limit, on_line=on_line)
     except HangError as fault:
@@ -105,9 +110,15 @@ def simulate_to(
     except Stopped as stop:
         seconds = time.monotonic() - started
         raise Stopped(stop.signal, f"{words} was ended after {seconds:.1f} s, nothing was written") from None
+    finally:
+        given.unlink(missing_ok=True)
 
 
-def _other_build(request: RolloutRequest, spec: SystemSpec, system: str | None) -> PerfboundError | None:
+def _name_of(request: RolloutRequest | BatchRequest) -> str:
+    return f"batch of {len(request)} rollouts" if isinstance(request, BatchRequest) else "rollout"
+
+
+def _other_build(request: RolloutRequest | BatchRequest, spec: SystemSpec, system: str | None) -> PerfboundError | None:
     """Return what differs between the system that is here and the one that was asked for; None if that is not it."""
     # The worker knows the identity of the system that is asked for, and not what it consists of.
     try:

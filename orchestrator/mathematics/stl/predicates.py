@@ -4,10 +4,12 @@
 |----------|-----------|--------------------------------------------------------------|--------|------------------|
 | s, z     | `samples`, `a`, `b` | trajectories, one row per sample; column 0 is the time | (T, n) | per column   |
 |          | `columns` | names of the columns                                         | (n,)   |                  |
+|          | `t`       | sample times of R rollouts                                   | (T,)   | s                |
+|          | `values`  | their other columns: column, rollout, sample                 | (n-1, R, T) | per column  |
 | mu_j(s)  | `margins` | right - left for <= and <, left - right for >= and >         | (T,)   | of the predicate |
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +18,7 @@ from ....schemas.instants import apart, slack
 from .text import excerpt
 from .tree import Absolute, Arithmetic, Column, Comparison, Expression, Formula, Negative, Number, predicates
 
-__all__ = ["Floats", "Signals", "predicate_sup"]
+__all__ = ["Floats", "Signals", "SignalsOfEach", "predicate_sup"]
 
 Floats = NDArray[np.float64]
 Values = Floats | float  # a part without columns remains a number until a predicate spreads it over the samples
@@ -90,6 +92,7 @@ class Signals:
         if samples.ndim != 2 or samples.shape[0] == 0 or samples.shape[1] != len(columns):
             raise ValueError(f"samples of shape {samples.shape} do not fit {len(columns)} columns")
         self._columns, self._samples = columns, samples
+        self._shape = samples.shape[:1]
 
     def margins(self, predicate: Comparison) -> Floats:
         """Return mu of a predicate at every sample, shape (T,).
@@ -100,12 +103,11 @@ class Signals:
         """
         margins = self.any_margins(predicate)
         if not np.isfinite(margins).all():
-            sample = int(np.flatnonzero(~np.isfinite(margins))[0])
-            raise ValueError(f"`{excerpt(predicate)}` is {margins[sample]} at sample {sample}, not a finite number")
+            raise ValueError(_not_finite(predicate, margins))
         return margins
 
     def any_margins(self, predicate: Comparison) -> Floats:
-        """Return mu of a predicate at every sample, shape (T,), finite or not.
+        """Return mu of a predicate at every sample, shape (T,), finite or not; of several rollouts (R, T).
 
         Raises:
             ValueError: it names an unknown column.
@@ -114,7 +116,7 @@ class Signals:
         with np.errstate(all="ignore"):  # the caller checks what is not finite
             left, right = self._values(predicate.left), self._values(predicate.right)
             margin = right - left if predicate.operator in {"<=", "<"} else left - right
-        return margin if isinstance(margin, np.ndarray) else np.full(len(self._samples), margin)
+        return margin if isinstance(margin, np.ndarray) else np.full(self._shape, margin)
 
     def _values(self, tree: Expression) -> Values:
         match tree:
@@ -130,6 +132,62 @@ class Signals:
                 return _ARITHMETIC[operator](self._values(left), self._values(right))
 
     def _column(self, name: str) -> Floats:
+        return np.asarray(self._samples[:, self._index(name)], dtype=np.float64)
+
+    def _index(self, name: str) -> int:
         if name not in self._columns:
             raise ValueError(f"unknown column {name!r}; known are {', '.join(self._columns)}")
-        return np.asarray(self._samples[:, self._columns.index(name)], dtype=np.float64)
+        return self._columns.index(name)
+
+
+class SignalsOfEach(Signals):
+    """The columns of several rollouts on one time grid, by name; margins have the shape (R, T).
+
+    Where a predicate is not finite, `faults` has what `Signals` raises for that rollout alone; the other rollouts keep
+    their margins.
+
+    Raises:
+        ValueError: the shapes of `t` and `values` do not fit.
+
+    """
+
+    def __init__(self, columns: Sequence[str], t: Floats, values: Floats) -> None:
+        fits = t.ndim == 1 and len(t) > 0 and values.ndim == 3
+        if not (fits and values.shape[0] == len(columns) - 1 and values.shape[2] == len(t)):
+            raise ValueError(f"values of shape {values.shape} at times {t.shape} do not fit {len(columns)} columns")
+        self._columns, self._t, self._others = columns, t, values
+        self._shape = values.shape[1:]
+        self.faults: dict[int, str] = {}
+
+    def parts(self, size: int) -> Iterator[tuple[slice, "SignalsOfEach"]]:
+        """Yield at most `size` rollouts at a time: which ones, and their signals; at least once."""
+        for begin in range(0, max(self._shape[0], 1), size):
+            part = slice(begin, begin + size)
+            yield part, SignalsOfEach(self._columns, self._t, self._others[:, part])
+
+    def margins(self, predicate: Comparison) -> Floats:
+        """Return mu of a predicate at every sample of every rollout, shape (R, T), and keep what is not finite.
+
+        Raises:
+            ValueError: it names an unknown column.
+
+        """
+        margins = self.any_margins(predicate)
+        if not np.isfinite(margins).all():
+            for rollout in np.flatnonzero(~np.isfinite(margins).all(axis=-1)).tolist():
+                # The first predicate that is not finite is the one that `Signals` raises.
+                if rollout not in self.faults:
+                    self.faults[rollout] = _not_finite(predicate, margins[rollout])
+        return margins
+
+    def _column(self, name: str) -> Floats:
+        index = self._index(name)
+        # t is spread: for x ^ t at a single sample, one exponent for all rollouts, numpy has a rule of its own.
+        values = self._others[index - 1] if index else np.broadcast_to(self._t, self._shape)
+        return np.ascontiguousarray(values, dtype=np.float64)
+
+
+def _not_finite(predicate: Comparison, margins: Floats) -> str:
+    """Return what is wrong with margins (T,), some of which are not finite."""
+    sample = int(np.flatnonzero(~np.isfinite(margins))[0])
+    return f"`{excerpt(predicate)}` is {margins[sample]} at sample {sample}, not a finite number"

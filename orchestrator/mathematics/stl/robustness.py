@@ -1,11 +1,13 @@
-"""Quantitative semantics of STL on a sampled trajectory, vectorised over the samples.
+"""Quantitative semantics of STL on sampled trajectories, vectorised over the samples, and over rollouts on one grid.
 
 | symbol      | name      | meaning                                                             | shape  | unit        |
 |-------------|-----------|---------------------------------------------------------------------|--------|-------------|
 | s           | `samples` | trajectory, one row per sample; column 0 is the time t              | (T, n) | per column  |
 |             | `columns` | names of the columns of `samples`                                   | (n,)   |             |
+|             | `t`       | sample times of R rollouts                                          | (T,)   | s           |
+|             | `values`  | their other columns: column, rollout, sample              | (n-1, R, T)      | per column  |
 | W_k         | `windows` | samples i with t_k + a <= t_i <= t_k + b, or to the end; see `grid` | (T,)   |             |
-| rho(s, t_k) | `margins` | robustness at every sample k                                        | (T,)   | predicate's |
+| rho(s, t_k) | `margins` | robustness at every sample k                              | (T,) or (R, T)   | predicate's |
 
 a <= b and a < b give b - a; a >= b and a > b give a - b; not -rho; and min; or max; implies max(-left, right);
 always the minimum, eventually the maximum over W_k; until, in both readings, the maximum over i in W_k of
@@ -16,13 +18,19 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from . import sliding
 from .grid import Grid, StrictGrid
-from .predicates import Floats, Signals
+from .predicates import Floats, Signals, SignalsOfEach
 from .tree import Always, And, Comparison, Eventually, Formula, Implies, Not, Or, Temporal, Until, walk
 
-__all__ = ["Evaluated", "evaluated", "margins_at_samples", "robustness"]
+__all__ = ["Evaluated", "EvaluatedEach", "evaluated", "evaluated_each", "margins_at_samples", "robustness"]
+
+Flags = NDArray[np.bool_]
+
+AT_ONCE = 2**15
+"""Values of one column that `evaluated_each` reads at once: its arrays of 256 KiB then stay in the cache of a core."""
 
 
 def robustness(tree: Formula, columns: Sequence[str], samples: Floats) -> float:
@@ -81,18 +89,72 @@ def evaluated(tree: Formula, columns: Sequence[str], samples: Floats) -> Evaluat
     signals, grid = Signals(columns, samples), Grid(samples[:, 0])
     grid.check(tree)
     value = float(margins_at_samples(tree, signals, grid)[0])
+    strict = _other_reading(tree, grid)
+    return Evaluated(value, by_tolerance=strict is not None and bool(_signs_differ(tree, signals, grid, strict)))
+
+
+class EvaluatedEach(NamedTuple):
+    """What `evaluated` returns for each of R rollouts, by their index: its two parts, or the message of its error.
+
+    A rollout that is in `faults` has the robustness nan.
+    """
+
+    robustness: Floats  # (R,)
+    by_tolerance: Flags  # (R,)
+    faults: dict[int, str]
+
+
+def evaluated_each(tree: Formula, columns: Sequence[str], t: Floats, values: Floats) -> EvaluatedEach:
+    """Return what `evaluated` returns for each of R rollouts that share one time grid, to the bit.
+
+    `t` has shape (T,), T >= 1; `values` (n - 1, R, T) has the columns after the time: column, rollout, sample. Samples
+    that are next to one another in memory are fastest.
+
+    Raises:
+        As `evaluated`, but for a predicate that is not finite: `faults` has the message of each such rollout.
+
+    >>> from perfbound.orchestrator.mathematics.stl.parser import parse_formula
+    >>> x = np.array([[[1.0, 0.5], [2.0, 0.0], [4.0, 2.0]]])
+    >>> found = evaluated_each(parse_formula("always 1 / x <= 3"), ("t", "x"), np.array([0.0, 0.1]), x)
+    >>> found.robustness.tolist(), found.by_tolerance.tolist()
+    ([1.0, nan, 2.5], [False, False, False])
+    >>> found.faults
+    {1: '`1 / x <= 3` is -inf at sample 1, not a finite number'}
+
+    """
+    signals, grid = SignalsOfEach(columns, t, values), Grid(t)
+    grid.check(tree)
+    strict = _other_reading(tree, grid)
+    rollouts = values.shape[1]
+    found = EvaluatedEach(np.empty(rollouts), np.zeros(rollouts, dtype=np.bool_), {})
+    for part, those in signals.parts(max(AT_ONCE // len(t), 1)):
+        found.robustness[part] = margins_at_samples(tree, those, grid)[..., 0]
+        if strict is not None:
+            found.by_tolerance[part] = _signs_differ(tree, those, grid, strict)
+        found.faults.update((part.start + rollout, those.faults[rollout]) for rollout in sorted(those.faults))
+    without = list(found.faults)
+    found.robustness[without], found.by_tolerance[without] = np.nan, False
+    return found
+
+
+def _other_reading(tree: Formula, grid: Grid) -> StrictGrid | None:
+    """Return the grid without tolerance, if some window of `tree` has other samples there."""
     strict = StrictGrid(grid)
     intervals = {node.interval for node in walk(tree) if isinstance(node, Temporal)}
-    if all(grid.windows(each).are(strict.windows(each)) for each in intervals):
-        return Evaluated(value, by_tolerance=False)
-    low, high = (margins_at_samples(tree, signals, *grids)[0] for grids in ((grid, strict), (strict, grid)))
-    return Evaluated(value, by_tolerance=bool(np.sign(low) != np.sign(high)))
+    return None if all(grid.windows(each).are(strict.windows(each)) for each in intervals) else strict
+
+
+def _signs_differ(tree: Formula, signals: Signals, grid: Grid, strict: StrictGrid) -> Flags:
+    """Return whether rho_low and rho_high of `evaluated` have different signs, shape () or (R,)."""
+    low, high = (margins_at_samples(tree, signals, *grids)[..., 0] for grids in ((grid, strict), (strict, grid)))
+    return np.asarray(np.sign(low) != np.sign(high))
 
 
 def margins_at_samples(tree: Formula, signals: Signals, grid: Grid, maxima: Grid | None = None) -> Floats:
     """Return the robustness of `tree` at every sample, shape (T,); where `tree` is not read it has no meaning.
 
-    With `maxima` maxima are over its windows, and minima over those of `grid`.
+    Of the signals of R rollouts the shape is (R, T). With `maxima` maxima are over its windows, and minima over those
+    of `grid`.
     """
     maxima = maxima or grid
     match tree:

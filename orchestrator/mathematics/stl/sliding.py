@@ -3,12 +3,15 @@
 | symbol | name      | meaning                                                  | shape          |
 |--------|-----------|----------------------------------------------------------|----------------|
 | W_k    | `windows` | the run of sample k, from first[k] to before stop[k]      | (T,)           |
+|        | `values`  | a signal (T,), or those of several rollouts              | (..., T)       |
 | p      | `span`    | length of the blocks of one level: 1, 2, 4, ...          |                |
 |        | `blocks`  | the join of samples i to i + p - 1                       | (..., T-p+1)   |
 
 A run of p <= n < 2p samples is the union of two blocks of p samples: its first and its last. Each level joins two
 blocks of the level below, so that all runs cost O(T log n) in numpy and O(T) memory, whatever the sample times. min
 and max are exact: the result is one of the values, to the last bit.
+
+`take` gathers, not an index: of several signals an index would put the samples of one far apart in memory.
 """
 
 from collections.abc import Callable
@@ -21,16 +24,17 @@ from .grid import Windows
 __all__ = ["maximum", "minimum", "until"]
 
 Floats = NDArray[np.float64]
+Indices = NDArray[np.intp]
 Join = Callable[[Floats, Floats], Floats]
 
 
 def minimum(values: Floats, windows: Windows) -> Floats:
-    """Return the smallest of `values` (T,) in each window, shape (T,); the value of an empty window has no meaning."""
+    """Return the smallest of `values` (..., T) in each window, same shape; that of an empty window has no meaning."""
     return _extremum(np.minimum, values, windows)
 
 
 def maximum(values: Floats, windows: Windows) -> Floats:
-    """Return the largest of `values` (T,) in each window, shape (T,); the value of an empty window has no meaning."""
+    """Return the largest of `values` (..., T) in each window, same shape; that of an empty window has no meaning."""
     return _extremum(np.maximum, values, windows)
 
 
@@ -48,8 +52,20 @@ def _extremum(extremum: np.ufunc, values: Floats, windows: Windows) -> Floats:
     if not windows.to_end:
         return _join_windows(extremum, values, windows)
     # Windows that all end with the trajectory need one running extremum from its end.
-    rest: Floats = extremum.accumulate(values[::-1])[::-1]
-    return np.asarray(rest.take(windows.first, mode="clip"), dtype=np.float64)
+    rest: Floats = extremum.accumulate(values[..., ::-1], axis=-1)[..., ::-1]
+    return _gather(rest, windows.first)
+
+
+def _run(samples: Indices) -> Indices | slice:
+    """Return increasing `samples` as a slice where no sample is between them, as on a uniform grid: it is faster."""
+    first, last = int(samples[0]), int(samples[-1])
+    return slice(first, last + 1) if last - first + 1 == len(samples) else samples
+
+
+def _gather(values: Floats, samples: Indices) -> Floats:
+    """Return the values (..., T) at `samples`; the last value for one beyond them."""
+    found: Floats = values.take(samples, axis=-1, mode="clip")
+    return found
 
 
 def _join_until(a: Floats, b: Floats) -> Floats:
@@ -62,12 +78,13 @@ def _join_windows(join: Join, blocks: Floats, windows: Windows) -> Floats:
     first = np.minimum(windows.first, last)
     stop = np.maximum(windows.stop, first + 1)
     length = stop - first
-    result = blocks[..., first]
+    result = _gather(blocks, first)
     span, longest = 1, int(length.max())
     while 2 * span <= longest:
         blocks = join(blocks[..., :-span], blocks[..., span:])
         span *= 2
         # Exactly one level has span <= length < 2 span, where two blocks cover the window.
         here = np.flatnonzero((span <= length) & (length < 2 * span))
-        result[..., here] = join(blocks[..., first[here]], blocks[..., stop[here] - span])
+        if here.size:
+            result[..., _run(here)] = join(_gather(blocks, first[here]), _gather(blocks, stop[here] - span))
     return result

@@ -7,7 +7,7 @@ import numpy as np
 from ....schemas.values import Observation
 from ...campaign.plan import ProblemPlan
 from ...forecast import remaining
-from ...store.read import ObservedTest
+from ...store.facts import ObservedTest
 from ..data.page import TestSeries
 
 MOST_TESTS = 5000

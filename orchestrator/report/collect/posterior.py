@@ -12,6 +12,7 @@ from ...campaign.plan import ProblemPlan, plans
 from ...mathematics.bounds.rigorous.method import RigorousMethod
 from ...mathematics.gp.kernels import Floats
 from ...mathematics.gp.lattice import Lattice
+from ...store import facts as recorded_facts
 from ...store import read
 
 NEAR = 1e-9
@@ -34,7 +35,7 @@ def posterior(directory: Path, problem: str | None, x: Floats) -> tuple[Floats, 
     name = problem or next(iter(found))
     if name not in found:
         raise PerfboundError(f"{directory}: no problem {name!r}; choose one of {', '.join(found)}")
-    plan, tests = found[name], read.history(directory)[found[name].name]
+    plan, tests = found[name], recorded_facts.history(directory)[found[name].name]
     if plan.candidates is None:
         raise PerfboundError(f"{directory}: method {plan.problem.method!r} has no band: it draws its starts")
     if not tests:

@@ -27,7 +27,7 @@ from ...forecast.planned_outlook import PlannedOutlooks
 from ...mathematics.bounds.sample import SampleMethod
 from ...store.changes import Decision
 from ...store.export_tables import robustness_unit, unit
-from ...store.read import ObservedTest
+from ...store.facts import ObservedTest
 from ..data.charts import ProblemCharts
 from ..data.page import Drawn, Problem, RegionMap, Surface
 from . import band, importance, limits
@@ -114,8 +114,9 @@ class ProblemCollector:
                 self._values[fact.test] = fact
             case BoundFact():
                 fact = fact if self._own is None else replace(fact, bound=Bound(None, None, fact.bound.verdict))
-                proposal, observation = self._proposals.pop(fact.test), self._values.pop(fact.test)
-                self.observed.append(ObservedTest.of(proposal, observation, fact))
+                for test in range(len(self.observed), fact.test + 1):  # several where it is that of a block
+                    proposal, observation = self._proposals.pop(test), self._values.pop(test)
+                    self.observed.append(ObservedTest.of(proposal, observation, fact))
 
     def extend(self, fact: ExtensionFact) -> None:
         """Take an extension of the campaign: with a larger budget the last bound is no end any more."""

@@ -10,7 +10,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from ...store.read import ObservedTest
+from ...store.facts import ObservedTest
 from .. import style
 from ..style import BLUE, GREEN, GREY, GREYS, RED, THICK, THIN
 from .table_text import csv_text

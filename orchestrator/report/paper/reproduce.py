@@ -8,7 +8,7 @@ from rich.text import Text
 
 from ....schemas import atomic
 from ...run.directory import finished_certificate
-from ...store import read
+from ...store import facts as recorded_facts
 from .. import style
 from . import figures, study, table
 from .study import DIRECT, FUNCTION, PAPER, Planned, Preset
@@ -73,7 +73,7 @@ def _decays(campaigns: Sequence[Planned], wanted: Sequence[tuple[Preset, str]]) 
         members = [each for each in campaigns if each.preset is preset]
         if members:
             alpha = next(each.alpha for each in members[0].config.problems if each.name == problem)
-            runs = {each.config.seed: read.history(each.directory)[problem] for each in members}
+            runs = {each.config.seed: recorded_facts.history(each.directory)[problem] for each in members}
             assert alpha is not None, "the presets search the worst start"
             found.append(figures.Decay(problem, alpha, runs))
     return found

@@ -1,5 +1,6 @@
 """A recorded rollout: its fact, its file, and its request."""
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,12 +9,12 @@ from sqlalchemy import Connection
 
 from ....schemas.errors import EvidenceError, PerfboundError
 from ....schemas.ids import RolloutId
-from ....schemas.result.facts import Header, ProposalFact, RolloutFact
+from ....schemas.result.facts import Header, RolloutFact
 from ....schemas.rollout import RolloutRequest
 from ....schemas.trajectory.trajectory import Trajectory
 from ...store import tables
+from ...store.facts import each_rollout_fact
 from ...store.read import read_header, reading
-from ...store.rows import READERS
 from .of_tests import read_recorded
 
 _rollouts, _tests = tables.rollouts.c, tables.tests.c
@@ -41,9 +42,9 @@ def load_recorded(directory: Path, text: str) -> RecordedRollout:
     """
     with reading(directory) as connection:
         header = read_header(connection, directory)
-        fact, proposal = _find(connection, header, directory, text)
+        fact, x = _find(connection, header, directory, text)
     # The recorded seed, for a recheck has that of the rollout it repeats; `verify` shows whether it is the right one.
-    request = header.template.request(fact.rollout, proposal.proposal.x, fact.seed)
+    request = header.template.request(fact.rollout, x, fact.seed)
     try:
         file = read_recorded(directory, fact)
     except EvidenceError as error:  # a replay can restore a damaged file
@@ -57,23 +58,24 @@ def load_recorded(directory: Path, text: str) -> RecordedRollout:
     return RecordedRollout(header, fact, request, file.trajectory)
 
 
-def _find(connection: Connection, header: Header, directory: Path, text: str) -> tuple[RolloutFact, ProposalFact]:
+def _find(connection: Connection, header: Header, directory: Path, text: str) -> tuple[RolloutFact, tuple[float, ...]]:
     try:
         rollout = RolloutId.parse(text.replace("-", "."))
     except ValueError:
         raise PerfboundError(
             f"{text!r} names no rollout; use problem.test.variant.replicate, e.g. {_example(connection)}"
         ) from None
-    of_test = (_rollouts.problem == rollout.problem) & (_rollouts.test == rollout.test)
-    rows = connection.execute(sa.select(tables.rollouts).where(of_test))
-    found = {fact.rollout: fact for fact in map(READERS[tables.rollouts.name], rows) if isinstance(fact, RolloutFact)}
+    each = tables.each_rollout.c
+    of_test = (each.problem == rollout.problem) & (each.test == rollout.test)
+    rows = connection.execute(sa.select(tables.each_rollout).where(of_test))
+    found = {fact.rollout: fact for fact in map(each_rollout_fact, rows)}
     if rollout not in found:
         existing = _existing(connection, header, rollout, [str(each) for each in sorted(found)])
         raise PerfboundError(f"{directory}: no rollout {rollout} is recorded; {existing}")
-    where = (_tests.problem == rollout.problem) & (_tests.test == rollout.test)
-    proposal = READERS[tables.tests.name](connection.execute(sa.select(tables.tests).where(where)).one())
-    assert isinstance(proposal, ProposalFact), "the reader of that table"
-    return found[rollout], proposal
+    test = tables.each_test.c
+    where = (test.problem == rollout.problem) & (test.test == rollout.test)
+    (x,) = connection.execute(sa.select(test.x).where(where)).one()
+    return found[rollout], tuple(json.loads(x))
 
 
 def _example(connection: Connection) -> str:

@@ -1,12 +1,13 @@
 """The rollouts of one test as curves, from their files."""
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path, PurePosixPath
 
 from ....schemas.errors import EvidenceError, PerfboundError, TrajectoryError
 from ....schemas.file.problem_models import Problem
 from ....schemas.result.facts import Header, RolloutFact
+from ....schemas.trajectory.batch import BatchFile, read_batch
 from ....schemas.trajectory.trajectory import File, read_mcap
 from ...certificate.words.format import replay_command
 from ...store import files
@@ -107,9 +108,17 @@ def read_recorded(directory: Path, fact: RolloutFact) -> File:
             "database from a copy"
         )
     try:
+        if fact.batch:
+            return _batch_file(directory, fact.path, fact.batch).alone(fact.rollout)
         return read_mcap(files.read_evidence(directory, fact.path, fact.sha256))
     except TrajectoryError as error:
         raise EvidenceError(f"{directory / fact.path}: {error}; restore it from a copy") from None
+
+
+@lru_cache(maxsize=2)
+def _batch_file(directory: Path, path: str, sha256: str) -> BatchFile:
+    # Kept: the rollouts of a batch are read one after the other.
+    return read_batch(files.read_evidence(directory, path, sha256))
 
 
 def _is_inside(path: str) -> bool:

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from perfbound.orchestrator.campaign.assumption_tests import spread
 from perfbound.orchestrator.campaign.ledger import Ledger
+from perfbound.orchestrator.campaign.series import Rows
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store.journal import Journal
@@ -87,7 +88,7 @@ def test_it_ends_at_the_first_test_that_refutes_however_many_workers_there_are(t
         ledger.replay()
         (account,) = ledger.accounts.values()
     assert len(account.each) > 2
-    before = replace(account, each=account.each[:-1])
+    before = replace(account, each=Rows(account.each[:-1]))
     for tested, status in ((account, "refuted"), (before, "not refuted")):
         finding = spread(tested, 0.05)
         assert finding is not None

@@ -9,10 +9,12 @@ from pydantic import ValidationError
 from rich.console import Console
 
 from perfbound.orchestrator.campaign.counterexample import ended
+from perfbound.orchestrator.campaign.series import Series
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.words.text import print_certificate
 from perfbound.orchestrator.report.collect.campaign import Collector
 from perfbound.orchestrator.run import service
+from perfbound.orchestrator.store import facts as recorded_facts
 from perfbound.orchestrator.store import read
 from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.ids import RolloutId
@@ -53,7 +55,7 @@ def shaky(request: RolloutRequest) -> float:
 def recorded(directory: Path) -> list[RolloutFact]:
     """Return the rollouts of the problem."""
     with read.reading(directory) as connection:
-        facts = [fact for fact in read.read_facts(connection) if isinstance(fact, RolloutFact)]
+        facts = [fact for fact in recorded_facts.read_facts(connection) if isinstance(fact, RolloutFact)]
     return [fact for fact in facts if fact.rollout.problem == "robustness"]
 
 
@@ -169,9 +171,9 @@ def test_one_rollout_below_zero_is_enough(
         RolloutFact(RolloutId("robustness", 0, "nominal", number), 1, "0" * 64, 1, "p", value)
         for number, value in enumerate(values)
     ]
-    bound = Bound(1.0, 0.0, verdict)
-    assert ended(robustness(EXACT, **UNTIL), bound, rollouts) == Bound(1.0, 0.0, expected)
-    assert ended(robustness(EXACT), bound, rollouts) == bound
+    bound, series = Bound(1.0, 0.0, verdict), Series("", last_facts=rollouts)
+    assert ended(robustness(EXACT, **UNTIL), bound, series) == Bound(1.0, 0.0, expected)
+    assert ended(robustness(EXACT), bound, series) == bound
 
 
 @pytest.mark.parametrize(

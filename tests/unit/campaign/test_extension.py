@@ -28,7 +28,8 @@ from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.orchestrator.store.untrusted import read_untrusted
 from perfbound.schemas.errors import CampaignError, IllegalEvent, JournalError
 from perfbound.schemas.file.config import CampaignConfig
-from perfbound.schemas.result.facts import BoundFact, ExtensionFact
+from perfbound.schemas.result.block_facts import each_fact, each_rollout
+from perfbound.schemas.result.facts import BoundFact, ExtensionFact, ProposalFact
 from perfbound.schemas.rollout import RolloutRequest
 from tests.facts import facts, says
 from tests.fakes.simulators import noise, predicate, robustness, simulate, statuses, verified
@@ -154,9 +155,9 @@ def test_the_certificate_of_before_is_kept_beside(run: Path, before: Path) -> No
 def test_the_closing_checks_are_new_ones_with_other_starts(run: Path, before: Path) -> None:
     found = predicate(text(run))
     stored = read_untrusted(run)
+    proposals = [fact for fact in each_fact(stored.proposals) if isinstance(fact, ProposalFact)]
     starts = {
-        name: {fact.proposal.x for fact in stored.proposals if fact.problem == name}
-        for name in ("spot_check", "spot_check_b")
+        name: {fact.proposal.x for fact in proposals if fact.problem == name} for name in ("spot_check", "spot_check_b")
     }
     assert not starts["spot_check"] & starts["spot_check_b"]
     assert len(starts["spot_check_b"]) == found["spot_check"]["starts"] == 12
@@ -165,14 +166,23 @@ def test_the_closing_checks_are_new_ones_with_other_starts(run: Path, before: Pa
     # Its limit is the bound of now.
     assert found["spot_check"]["problems"][0]["limit"] == found["problems"][0]["bound"]
     assert found["recheck"] == {"rollouts": 3, "agreed": 3, "unseen_share": found["recheck"]["unseen_share"]}
-    seeds = [fact.seed for fact in stored.rollouts if not fact.rollout.problem.startswith("recheck")]
+    seeds = [
+        fact.seed
+        for each in stored.rollouts
+        for fact in each_rollout(each)
+        if not fact.rollout.problem.startswith("recheck")
+    ]
     assert len(set(seeds)) == len(seeds)
 
 
 def test_other_budgets_draw_no_other_starts(before: Path, run: Path) -> None:
     extended(before, campaign(), 8)
     one, other = (
-        [fact.proposal.x for fact in read_untrusted(each).proposals if fact.problem == "spot_check_b"]
+        [
+            fact.proposal.x
+            for fact in each_fact(read_untrusted(each).proposals)
+            if isinstance(fact, ProposalFact) and fact.problem == "spot_check_b"
+        ]
         for each in (before, run)
     )
     assert one == other

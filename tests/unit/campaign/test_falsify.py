@@ -17,6 +17,7 @@ from perfbound.orchestrator.mathematics.bounds.one_law.failures import beta_mixt
 from perfbound.orchestrator.mathematics.search import Falsifier
 from perfbound.orchestrator.report.collect.campaign import Collector
 from perfbound.orchestrator.run import service
+from perfbound.orchestrator.store import facts as recorded_facts
 from perfbound.orchestrator.store import read
 from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.file.reader import parse_campaign
@@ -67,7 +68,7 @@ def sought(problem: dict[str, Any], **changes: Any) -> CampaignConfig:
 
 def proposals(directory: Path) -> list[ProposalFact]:
     with read.reading(directory) as connection:
-        found = [fact for fact in read.read_facts(connection) if isinstance(fact, ProposalFact)]
+        found = [fact for fact in recorded_facts.read_facts(connection) if isinstance(fact, ProposalFact)]
     return sorted((fact for fact in found if fact.problem == "robustness"), key=lambda fact: fact.test)
 
 

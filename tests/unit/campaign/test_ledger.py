@@ -8,6 +8,7 @@ from pathlib import Path
 from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.certificate.verify.run import verify_certificate
 from perfbound.orchestrator.store.journal import Journal
+from perfbound.schemas.batch import alone
 from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.result.facts import Header
@@ -30,7 +31,7 @@ def test_what_is_in_flight_when_the_last_problem_stops_is_withdrawn_before_its_c
     withdrawn: list[RolloutId] = []
     while not ledger.closing.spot_check:
         rollout = waiting.popleft()
-        payload = run_request(ledger.request(rollout), lambda _: None)
+        payload = run_request(alone(ledger.request(rollout)), lambda _: None)
         with ledger.transaction():
             work = ledger.record(rollout, payload, decode(payload), hashlib.sha256(payload).hexdigest())
         withdrawn += work.unwanted

@@ -19,6 +19,7 @@ from perfbound.orchestrator.mathematics.sobol import sobol_blocks
 from perfbound.orchestrator.mathematics.stl.condition import holds
 from perfbound.orchestrator.mathematics.stl.parser import parse_formula
 from perfbound.orchestrator.mathematics.stl.robustness import robustness
+from perfbound.orchestrator.store import facts as recorded_facts
 from perfbound.orchestrator.store import read
 from perfbound.schemas.errors import CampaignError
 from perfbound.schemas.file.reader import parse_campaign
@@ -222,7 +223,7 @@ def test_a_campaign_on_a_region_verifies(tmp_path: Path) -> None:
     with read.reading(tmp_path) as connection:
         starts = [
             fact.proposal.x
-            for fact in read.read_facts(connection)
+            for fact in recorded_facts.read_facts(connection)
             if isinstance(fact, ProposalFact) and fact.problem == "robustness"
         ]
     assert len(starts) == 60

@@ -14,6 +14,7 @@ from perfbound.orchestrator.mathematics.bounds.one_law.failures import beta_mixt
 from perfbound.orchestrator.mathematics.bounds.one_law.share import clopper_pearson_upper, quantile_rank
 from perfbound.orchestrator.report.collect.campaign import Collector
 from perfbound.orchestrator.run import service
+from perfbound.orchestrator.store import facts as recorded_facts
 from perfbound.orchestrator.store import read
 from perfbound.schemas.errors import CampaignError
 from perfbound.schemas.file.config import CampaignConfig
@@ -71,14 +72,14 @@ def claims(directory: Path) -> tuple[CertificateClaim, ...]:
 def values(directory: Path) -> list[float]:
     """Return the robustness of every rollout in test order."""
     with read.reading(directory) as connection:
-        facts = [fact for fact in read.read_facts(connection) if isinstance(fact, RolloutFact)]
+        facts = [fact for fact in recorded_facts.read_facts(connection) if isinstance(fact, RolloutFact)]
     own = [fact for fact in facts if fact.rollout.problem == "robustness"]
     return [fact.robustness or 0.0 for fact in sorted(own, key=lambda fact: fact.rollout)]
 
 
 def starts(directory: Path) -> list[tuple[float, ...]]:
     with read.reading(directory) as connection:
-        facts = read.read_facts(connection)
+        facts = recorded_facts.read_facts(connection)
         return [fact.proposal.x for fact in facts if isinstance(fact, ProposalFact) and fact.problem == "robustness"]
 
 
@@ -184,7 +185,7 @@ def test_the_claims_of_a_requirement_are_those_of_its_robustness(tmp_path: Path)
     simulate(tmp_path, several(claims=LEVELS[1:2]), shaky, noisy=True)
     rank = quantile_rank(60, 0.1, 0.05)
     assert rank is not None
-    history = read.history(tmp_path)["robustness"]
+    history = recorded_facts.history(tmp_path)["robustness"]
     for place, claim in enumerate(claims(tmp_path)):
         robust = sorted(test.observation.each[place] for test in history)
         assert claim.bound == pytest.approx(robust[rank - 1], abs=1e-8)

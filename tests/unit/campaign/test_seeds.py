@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from perfbound.orchestrator.campaign.seeds import first_node, rollout_seed
+from perfbound.orchestrator.campaign.seeds import first_node, rollout_seed, rollout_seeds
+from perfbound.schemas.batch import batch_rollouts
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.result.facts import Header
 from perfbound.workers.systems import load_system
@@ -110,3 +111,11 @@ def test_a_key_at_its_default_is_as_good_as_left_out() -> None:
 def test_first_nodes_are_spread_over_the_lattice() -> None:
     nodes = [first_node(header(seed=seed), "sim_gap", 10) for seed in range(400)]
     assert all(20 <= nodes.count(node) <= 65 for node in range(10))  # 40 expected, sd 6
+
+
+@pytest.mark.parametrize("seed_bits", [53, 32])
+def test_a_rollout_of_a_batch_has_the_seed_that_it_has_alone(seed_bits: int) -> None:
+    campaign = short(seed_bits)
+    first = RolloutId("sim_gap", 1000, "true", 3)
+    wanted = [rollout_seed(campaign, each) for each in batch_rollouts(first, 5, 4)]
+    assert rollout_seeds(campaign, first, 5, 4) == wanted

@@ -8,7 +8,7 @@ import pytest
 
 from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.campaign.plan import plan
-from perfbound.orchestrator.campaign.series import Account
+from perfbound.orchestrator.campaign.series import Account, Rows
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.issue import issue, manifest
 from perfbound.orchestrator.certificate.verify.rerun import MemoryFactStore
@@ -39,7 +39,7 @@ def account(problem_index: int, y: float, campaign: str = "segway-paper", **chan
         "0" * 64,
         plan=plan(chosen, SPEC, problem),
         observations=[y, y],
-        each=[(y,), (y,)],
+        each=Rows([(y,), (y,)]),
         nodes=[0, 3],
         proposed=[Proposal(0, (0.0, 0.0), 0.0, 1.0, None, None), Proposal(3, (5.0, 0.0), 0.1, 0.01, 0.4, 0.0099)],
         robustness=[0.71, 0.75],

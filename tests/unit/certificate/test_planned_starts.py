@@ -17,7 +17,7 @@ from perfbound.orchestrator.mathematics.bounds.kriging import method
 from perfbound.orchestrator.mathematics.bounds.kriging.design import Design, plan_design
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store.files import relative_path
-from perfbound.schemas.ids import RolloutId
+from perfbound.schemas.ids import FileId, RolloutId
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.trajectory.trajectory import read_mcap
 from tests.fakes.simulators import noise, robustness, simulate
@@ -122,7 +122,7 @@ def test_exchanged_outcomes_under_the_planned_starts_are_found_by_simulating_aga
 
 
 def place(test: int, replicate: int) -> str:
-    return relative_path(RolloutId("robustness", test, "nominal", replicate))
+    return relative_path(FileId(RolloutId("robustness", test, "nominal", replicate)))
 
 
 def start(directory: Path, test: int) -> list[float]:

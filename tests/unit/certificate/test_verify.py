@@ -36,9 +36,10 @@ from perfbound.orchestrator.store.untrusted import UntrustedFacts, read_untruste
 from perfbound.schemas.base import canonical_json
 from perfbound.schemas.errors import PerfboundError, Stopped
 from perfbound.schemas.file.config import CampaignConfig
-from perfbound.schemas.ids import RolloutId
+from perfbound.schemas.ids import FileId, RolloutId
+from perfbound.schemas.result.block_facts import BatchFact, StoredFact
 from perfbound.schemas.result.certificate import Certificate
-from perfbound.schemas.result.facts import DiscardFact, ExtensionFact, Fact, RolloutFact
+from perfbound.schemas.result.facts import DiscardFact, ExtensionFact, RolloutFact
 from perfbound.schemas.system import SystemSpec
 from perfbound.schemas.trajectory.trajectory import Trajectory, encode, read_mcap
 from tests.campaigns import table
@@ -220,7 +221,8 @@ def test_an_edited_database(campaign: Path, statement: str, line: str, says: str
 def test_a_test_that_never_was(campaign: Path) -> None:
     with editing(campaign) as database:
         database.execute(
-            "INSERT INTO tests SELECT 9999, problem, 99, node, x, mu, sigma, beta, F FROM tests WHERE test = 3 LIMIT 1"
+            "INSERT INTO tests SELECT 9999, problem, 99, node, x, mu, sigma, beta, F, 1, NULL, NULL FROM tests "
+            "WHERE test = 3 LIMIT 1"
         )
     assert failed(campaign) == ["database"]
 
@@ -230,7 +232,7 @@ def test_an_edited_fact_with_a_chain_that_was_built_again(campaign: Path) -> Non
     with editing(campaign) as database:
         database.execute("UPDATE observations SET y = y + 0.01 WHERE problem = 'sim_gap' AND test = 2")
     there = read_untrusted(campaign)
-    facts: list[Fact] = [*there.proposals, *there.rollouts, *there.observations]
+    facts: list[StoredFact] = [*there.proposals, *there.rollouts, *there.observations]
     head = compare.chain_head(there.header, facts, there.proposals)
     rewrite(campaign, lambda predicate: predicate["evidence"].update(chain_head=head))
     assert set(failed(campaign)) == {"chain", "database"}
@@ -364,7 +366,7 @@ def test_a_flipped_bit_in_each_of_a_hundred_places(campaign: Path) -> None:
     assert check(campaign).good
 
 
-def relist(directory: Path, change: Callable[[dict[RolloutId, str]], object] = lambda _: None) -> None:
+def relist(directory: Path, change: Callable[[dict[FileId, str]], object] = lambda _: None) -> None:
     """Make manifest and certificate fit the files again, after a change of the list (rollout -> path)."""
     text = (directory / files.MANIFEST).read_text()
     listed = {rollout: entry.path for rollout, entry in parse_manifest(text).items()}
@@ -408,7 +410,7 @@ def altered(path: Path, **request: Any) -> None:
 
 
 def of(directory: Path, problem: str, test: int, variant: str) -> Path:
-    return directory / relative_path(RolloutId(problem, test, variant, 0))
+    return directory / relative_path(FileId(RolloutId(problem, test, variant, 0)))
 
 
 def test_a_swapped_seed(campaign: Path) -> None:
@@ -447,7 +449,7 @@ def test_other_numbers(campaign: Path) -> None:
 
 def test_a_removed_test(campaign: Path) -> None:
     """The last test of a problem, gone from everything that is written down."""
-    relist(campaign, lambda listed: listed.pop(RolloutId("nominal_robustness", 7, "nominal", 0)))
+    relist(campaign, lambda listed: listed.pop(FileId(RolloutId("nominal_robustness", 7, "nominal", 0))))
     with editing(campaign) as database:
         for name in ("tests", "rollouts", "observations", "bounds"):
             database.execute(f"DELETE FROM {name} WHERE problem = 'nominal_robustness' AND test = 7")
@@ -455,7 +457,7 @@ def test_a_removed_test(campaign: Path) -> None:
 
 
 def test_a_rollout_of_another_campaign(campaign: Path) -> None:
-    stranger = RolloutId("nominal_robustness", 8, "nominal", 0)
+    stranger = FileId(RolloutId("nominal_robustness", 8, "nominal", 0))
     shutil.copy(of(campaign, "nominal_robustness", 7, "nominal"), campaign / relative_path(stranger))
     relist(campaign, lambda listed: listed.update({stranger: relative_path(stranger)}))
     assert failed(campaign) == ["evidence"]
@@ -484,7 +486,7 @@ def test_a_manifest_with_a_line_of_its_own(campaign: Path, line: str) -> None:
 
 
 def test_lines_in_another_order(campaign: Path) -> None:
-    def turn(listed: dict[RolloutId, str]) -> None:
+    def turn(listed: dict[FileId, str]) -> None:
         pairs = list(listed.items())
         listed.clear()
         listed.update(reversed(pairs))
@@ -555,7 +557,8 @@ def test_rows_that_stand_there_twice(campaign: Path) -> None:
 def test_a_rollout_of_a_test_that_nobody_proposed(campaign: Path) -> None:
     with editing(campaign) as database:
         database.execute(
-            "INSERT INTO rollouts SELECT 9999, problem, 77, variant, replicate, seed, sha256, size, path, -1, 0, NULL "
+            "INSERT INTO rollouts (seq, problem, test, variant, replicate, seed, sha256, size, path, robustness, "
+            "by_tolerance) SELECT 9999, problem, 77, variant, replicate, seed, sha256, size, path, -1, 0 "
             "FROM rollouts WHERE test = 3 LIMIT 1"
         )
     assert failed(campaign) == ["database"]
@@ -565,10 +568,11 @@ def test_rollouts_in_flight_when_their_problem_stopped_have_their_seeds(campaign
     """As if test 7 had been proposed and simulated, and not awaited."""
     there = read_untrusted(campaign)
 
-    def last(fact: Fact) -> bool:
+    def last(fact: StoredFact) -> bool:
         assert not isinstance(fact, ExtensionFact)
-        problem, test = fact.rollout[:2] if isinstance(fact, RolloutFact | DiscardFact) else (fact.problem, fact.test)
-        return (problem, test) == ("sim_gap", 7)
+        if isinstance(fact, RolloutFact | BatchFact | DiscardFact):
+            return fact.rollout[:2] == ("sim_gap", 7)
+        return (fact.problem, fact.test) == ("sim_gap", 7)
 
     early = UntrustedFacts(
         there.header,
@@ -579,10 +583,11 @@ def test_rollouts_in_flight_when_their_problem_stopped_have_their_seeds(campaign
         tuple(fact for fact in there.bounds if not last(fact)),
         (),
     )
-    derived: list[Fact] = [*there.proposals, *early.observations, *early.bounds]
+    derived: list[StoredFact] = [*there.proposals, *early.observations, *early.bounds]
     derived += [fact for fact in there.rollouts if not last(fact)]
     assert compare.tables(there.header, derived, early)[0] is None
-    other = tuple(replace(fact, seed=fact.seed + 1) if last(fact) else fact for fact in there.rollouts)
+    alone = [fact for fact in there.rollouts if isinstance(fact, RolloutFact)]
+    other = tuple(replace(fact, seed=fact.seed + 1) if last(fact) else fact for fact in alone)
     fault, _ = compare.tables(there.header, derived, replace(early, rollouts=other))
     assert fault is not None
     assert "sim_gap.7" in fault

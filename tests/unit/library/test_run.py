@@ -12,7 +12,7 @@ from perfbound.library import run as run_module
 from perfbound.library.run import Run
 from perfbound.orchestrator.campaign.methods import method
 from perfbound.orchestrator.campaign.plan import plans
-from perfbound.orchestrator.store import read
+from perfbound.orchestrator.store import facts as recorded_facts
 from perfbound.schemas.errors import PerfboundError
 from tests.fakes import finished
 from tests.fakes.puppets import Stage
@@ -40,7 +40,7 @@ def test_what_a_run_has(run: Run) -> None:
 
 def test_the_posterior_at_the_candidates_is_the_band_of_the_method(run: Run) -> None:
     for name, plan in plans(run.header.config, run.header.spec).items():
-        fed, tests = method(plan, run.header), read.history(run.directory)[name]
+        fed, tests = method(plan, run.header), recorded_facts.history(run.directory)[name]
         fed.recall([(each.proposal, each.observation) for each in tests])
         band = fed.band(tests[-1].bound)
         found = run.posterior(plan.chosen_from.nodes, name)

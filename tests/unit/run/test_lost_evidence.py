@@ -17,13 +17,13 @@ from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas import atomic
 from perfbound.schemas.errors import EvidenceError, JournalError
-from perfbound.schemas.ids import RolloutId
+from perfbound.schemas.ids import FileId, RolloutId
 from tests.facts import facts
 from tests.fakes.finished import a_pair, finish, play
 from tests.fakes.puppets import Stage
 
 CONFIG = a_pair("paper", recheck=2)
-LOST = evidence.relative_path(RolloutId("sim_gap", 2, "true", 0))
+LOST = evidence.relative_path(FileId(RolloutId("sim_gap", 2, "true", 0)))
 
 
 @pytest.fixture(scope="module")

@@ -1,19 +1,19 @@
 """Time grids that are known."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from perfbound.orchestrator.run import results
 from perfbound.orchestrator.run.results import Grids
 from perfbound.schemas.ids import RolloutId
-from perfbound.schemas.trajectory.trajectory import Trajectory
 
 
 def rollout(test: int) -> RolloutId:
     return RolloutId("p", test, "nominal", 0)
 
 
-def sampled(*times: float) -> Trajectory:
-    return Trajectory(("t", "value"), np.column_stack([times, np.zeros(len(times))]))
+def sampled(*times: float) -> NDArray[np.float64]:
+    return np.array(times, dtype=np.float64)
 
 
 def test_a_grid_is_known_once_two_workers_have_sent_it() -> None:

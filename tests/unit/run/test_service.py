@@ -512,7 +512,7 @@ def test_a_system_that_always_fails_ends_the_campaign_with_its_story(
 ) -> None:
     directory, config, log = tmp_path / "run", SMALL, Log()
     begin(directory, config)
-    monkeypatch.setattr(module, "run_request_on", failing(fault))
+    monkeypatch.setattr(module, "run_on", failing(fault))
     with Network() as network, working(network, run_of(directory), [lambda uplink: uplink]):
         with pytest.raises(PerfboundError) as end:
             serve(directory, network, log)
@@ -525,7 +525,7 @@ def test_a_system_that_always_fails_ends_the_campaign_with_its_story(
         assert [kind for outcome, kind in kinds(directory) if expected in outcome] == ["system"] * 2
         assert outcomes(directory).count("recorded") == 0
         assert read.irreproducible(directory) == 0, "a rollout without a result was not selected"
-        monkeypatch.setattr(module, "run_request_on", run_request_on)
+        monkeypatch.setattr(module, "run_on", run_request_on)
         found = serve(directory, network, Log(), resumed=True)
     assert without(found.encode(), REPRODUCIBLE) == without(calm(config).encode(), REPRODUCIBLE)
     check_evidence(directory, 8)
@@ -552,7 +552,7 @@ def test_a_system_that_fails_once_is_irreproducible(
             fault()
         return run_request_on(system, request, progress)
 
-    monkeypatch.setattr(module, "run_request_on", once)
+    monkeypatch.setattr(module, "run_on", once)
     campaign(directory, SMALL, workers=2, log=log)
     check_evidence(directory, 8)
     (reason,) = [reason for reason, kind in kinds(directory) if kind == "system"]
@@ -742,7 +742,7 @@ def test_the_progress_of_one_rollout_is_not_told_as_that_of_the_next(monkeypatch
                 time.sleep(0.005)
         return b"done"
 
-    monkeypatch.setattr(module, "run_request_on", work)
+    monkeypatch.setattr(module, "run_on", work)
     worker.receive(an_assign(0))
     served(worker, uplink, 2)
     told = {state.progress for state in uplink.states if state.rollout == "maximum.1.true.0"}
@@ -753,7 +753,7 @@ def test_the_progress_of_one_rollout_is_not_told_as_that_of_the_next(monkeypatch
 def test_a_worker_that_lacks_a_module_of_the_system_is_at_fault_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     uplink = Deaf()
     worker = WorkerProcess("w", uplink)
-    monkeypatch.setattr(module, "run_request_on", failing(raising(ImportError("libsimulator.so: no such file"))))
+    monkeypatch.setattr(module, "run_on", failing(raising(ImportError("libsimulator.so: no such file"))))
     worker.receive(an_assign(0))
     served(worker, uplink, 1)
     assert [header.kind for header in uplink.results] == ["infrastructure"]
@@ -771,7 +771,7 @@ def test_an_assignment_is_taken_once_and_never_an_older_attempt(monkeypatch: pyt
             worker.receive(an_assign(1))
         return b"done"
 
-    monkeypatch.setattr(module, "run_request_on", work)
+    monkeypatch.setattr(module, "run_on", work)
     worker.receive(an_assign(0, 2))
     served(worker, uplink, 2)
     assert [(header.rollout, header.attempt) for header in uplink.results] == [
@@ -799,7 +799,7 @@ def test_what_follows_a_cancel_is_no_failure_of_the_system(monkeypatch: pytest.M
                     raise
         return b"done"
 
-    monkeypatch.setattr(module, "run_request_on", work)
+    monkeypatch.setattr(module, "run_on", work)
     worker.receive(an_assign(0))
     served(worker, uplink, 1)
     assert [header.rollout for header in uplink.results] == ["maximum.1.true.0"]
@@ -813,7 +813,7 @@ def test_a_failure_before_its_cancel_is_one_of_the_system(monkeypatch: pytest.Mo
         worker.receive(Cancel(rollout=request.rollout, attempt=1))
         raise RuntimeError("the step failed")
 
-    monkeypatch.setattr(module, "run_request_on", work)
+    monkeypatch.setattr(module, "run_on", work)
     worker.receive(an_assign(0))
     served(worker, uplink, 1)
     (header,) = uplink.results

@@ -90,7 +90,7 @@ def test_a_system_that_does_not_end_costs_two_deadlines_and_is_reported_with_its
             time.sleep(0.01)
         raise AssertionError
 
-    monkeypatch.setattr(module, "run_request_on", endless)
+    monkeypatch.setattr(module, "run_on", endless)
     config = CONFIG.model_copy(update={"deadline": 1.0})
     with pytest.raises(PerfboundError, match=facts("2 times : 1 s deadline = 1 s")) as end:
         campaign(tmp_path / "run", config, workers=1)

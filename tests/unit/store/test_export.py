@@ -100,7 +100,8 @@ def plain(cell: object) -> str:
 
 def test_rollouts_are_those_of_the_database(campaign: Path) -> None:
     found = exported(campaign)["rollouts"]
-    facts = query(campaign, "SELECT * FROM rollouts ORDER BY seq")
+    columns = "seq, problem, test, variant, replicate, seed, sha256, size, path, robustness, by_tolerance, ended"
+    facts = query(campaign, f"SELECT {columns} FROM rollouts ORDER BY seq")
     outcomes = {
         rollout: values
         for rollout, *values in query(campaign, "SELECT rollout, worker, wall_seconds, cpu_seconds FROM outcomes")

@@ -12,7 +12,7 @@ import pytest
 from perfbound.orchestrator.store import files
 from perfbound.schemas import atomic
 from perfbound.schemas.errors import EvidenceError, TrajectoryError
-from perfbound.schemas.ids import RolloutId
+from perfbound.schemas.ids import FileId, RolloutId
 from perfbound.schemas.trajectory.trajectory import Trajectory, encode, read_mcap
 from tests.facts import facts
 
@@ -29,7 +29,8 @@ def names(directory: Path) -> list[str]:
 
 
 def test_a_thousand_tests_a_folder() -> None:
-    assert files.relative_path(RolloutId("p", 1999, "true", 2)) == "trajectories/p/1/p.1999.true.2.mcap"
+    assert files.relative_path(FileId(RolloutId("p", 1999, "true", 2))) == "trajectories/p/1/p.1999.true.2.mcap"
+    assert files.relative_path(FileId(RolloutId("p", 0, "true", 2), 64)) == "trajectories/p/0/p.0.true.2.64.mcap"
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:

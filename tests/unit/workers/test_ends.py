@@ -152,7 +152,7 @@ def begun(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
             progress(1)
             time.sleep(0.002)
 
-    monkeypatch.setattr(module, "run_request_on", endless)
+    monkeypatch.setattr(module, "run_on", endless)
     monkeypatch.setattr(module, "requested_system", lambda _: None)
     return begun
 
@@ -227,7 +227,7 @@ def test_what_fails_as_the_signal_comes_is_handed_back(monkeypatch: pytest.Monke
         ends.wait(PATIENCE)
         raise SimulationError("pendulum was ended by SIGTERM")
 
-    monkeypatch.setattr(module, "run_request_on", failing)
+    monkeypatch.setattr(module, "run_on", failing)
     monkeypatch.setattr(module, "requested_system", lambda _: None)
     wire = Wire()
     running = Running(wire)
@@ -266,7 +266,7 @@ def test_a_result_has_the_seconds_that_its_rollout_took(monkeypatch: pytest.Monk
         return b"x"
 
     monkeypatch.setattr(module, "time", SimpleNamespace(process_time=lambda: clock.cpu, monotonic=lambda: clock.wall))
-    monkeypatch.setattr(module, "run_request_on", simulated)
+    monkeypatch.setattr(module, "run_on", simulated)
     monkeypatch.setattr(module, "requested_system", lambda _: SimpleNamespace(spec=SimpleNamespace(largest_file=10)))
     wire = Wire()
     worker = WorkerProcess("w", wire)

@@ -19,6 +19,7 @@ from perfbound.orchestrator.certificate.words.bound_text import outward
 from perfbound.orchestrator.certificate.words.text import check_sentences
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import export, read
+from perfbound.orchestrator.store import facts as recorded_facts
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.result.certificate import Predicate, SpotCheck, SpotCheckedProblem
@@ -138,7 +139,7 @@ def with_risk(change: dict[str, Any], problem: dict[str, Any]) -> None:
 def rollouts_of(directory: Path) -> dict[str, list[RolloutFact]]:
     found: dict[str, list[RolloutFact]] = {}
     with read.reading(directory) as connection:
-        for fact in read.read_facts(connection):
+        for fact in recorded_facts.read_facts(connection):
             if isinstance(fact, RolloutFact):
                 found.setdefault(fact.rollout.problem, []).append(fact)
     return found

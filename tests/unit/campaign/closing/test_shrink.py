@@ -12,6 +12,7 @@ from perfbound.orchestrator.campaign.checks import check
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.words.text import print_certificate
 from perfbound.orchestrator.run import service
+from perfbound.orchestrator.store import facts as recorded_facts
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.robustness import read_values, read_violations
 from perfbound.schemas.errors import CampaignError
@@ -77,7 +78,7 @@ def test_the_claims_are_those_without_it(tmp_path: Path) -> None:
     assert one.predicate.problems[0].rollouts.nominal == one.predicate.problems[0].tests
     assert one.predicate.recheck is not None
     with read.reading(tmp_path / "with") as connection:
-        facts = [fact for fact in read.read_facts(connection) if isinstance(fact, RolloutFact)]
+        facts = [fact for fact in recorded_facts.read_facts(connection) if isinstance(fact, RolloutFact)]
     again = {fact.rollout.problem for fact in facts}
     assert again == {"robustness", "shrink", "recheck"}
 
@@ -121,7 +122,7 @@ def test_every_rollout_of_a_noisy_system_has_the_seed_of_the_counterexample(tmp_
     found = certificate(tmp_path).predicate.counterexample
     assert found is not None
     with read.reading(tmp_path) as connection:
-        facts = [fact for fact in read.read_facts(connection) if isinstance(fact, RolloutFact)]
+        facts = [fact for fact in recorded_facts.read_facts(connection) if isinstance(fact, RolloutFact)]
     shrunk_facts = [fact for fact in facts if fact.rollout.problem == "shrink"]
     assert {fact.seed for fact in shrunk_facts} == {found.seed}
     # Its one seed would count many times against a mean, and among the violations.

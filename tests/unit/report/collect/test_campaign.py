@@ -23,7 +23,7 @@ from perfbound.orchestrator.report.collect.workers import MOST_FAILED, WorkerSta
 from perfbound.orchestrator.report.data.page import Problem, ReportData, to_json
 from perfbound.orchestrator.report.rollout import curves, of_tests
 from perfbound.orchestrator.run.page.page_feed import LiveState
-from perfbound.orchestrator.store import read
+from perfbound.orchestrator.store import facts as recorded_facts
 from perfbound.orchestrator.store.changes import AttemptOutcome, ChangeReader, Changes, Session
 from perfbound.orchestrator.store.export_tables import unit
 from perfbound.orchestrator.store.lock import campaign_lock
@@ -169,7 +169,7 @@ def by_name(report_data: ReportData) -> dict[str, Problem]:
 
 
 def test_the_numbers_have_the_sign_of_their_objective(finished: Path) -> None:
-    facts = read.history(finished)
+    facts = recorded_facts.history(finished)
     for name, problem in by_name(collected(finished)).items():
         sign = -1 if problem.sense == "min" else 1
         seen, tests = facts[name], problem.tests

@@ -5,7 +5,7 @@ import pytest
 from perfbound.orchestrator.campaign.plan import plans
 from perfbound.orchestrator.report.collect import observed
 from perfbound.orchestrator.report.collect.observed import observed_series, worst_first
-from perfbound.orchestrator.store.read import ObservedTest
+from perfbound.orchestrator.store.facts import ObservedTest
 from perfbound.schemas.values import Bound, Observation, Proposal
 from perfbound.workers.systems import load_system
 from tests.fakes.finished import a_pair

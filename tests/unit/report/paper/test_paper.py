@@ -16,9 +16,9 @@ from rich.console import Console
 from perfbound.orchestrator.report import style
 from perfbound.orchestrator.report.paper import figures, study, table
 from perfbound.orchestrator.report.paper.figures import Decay
-from perfbound.orchestrator.store import read as queries
+from perfbound.orchestrator.store import facts as recorded_facts
+from perfbound.orchestrator.store.facts import ObservedTest
 from perfbound.orchestrator.store.journal import Journal
-from perfbound.orchestrator.store.read import ObservedTest
 from perfbound.schemas.errors import CampaignError, PerfboundError
 from perfbound.schemas.file.composition import Rule
 from perfbound.schemas.file.objectives import ProblemName
@@ -110,7 +110,7 @@ def test_the_history_holds_observed_tests_alone(tmp_path: Path) -> None:
                 journal.add(ObservationFact("maximum", test, Observation(0.125, (0.125,)), "link"))
                 journal.add(BoundFact("maximum", test, Bound(upper, None, None), budget=test > 0))
     journal.close()
-    assert queries.history(tmp_path) == {
+    assert recorded_facts.history(tmp_path) == {
         "maximum": (
             an_observed_test(0, (0.0, 0.0), 0.125, None, None),
             an_observed_test(1, (0.0, 1.0), 0.125, 0.5, 1.25, "budget"),

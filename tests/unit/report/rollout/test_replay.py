@@ -18,8 +18,9 @@ from perfbound.orchestrator.report.rollout.comparison import compare
 from perfbound.orchestrator.report.rollout.load import load_recorded
 from perfbound.orchestrator.store import files
 from perfbound.orchestrator.store.journal import Journal
+from perfbound.schemas.batch import alone
 from perfbound.schemas.errors import EvidenceError, JournalError, PerfboundError
-from perfbound.schemas.ids import RolloutId
+from perfbound.schemas.ids import FileId
 from perfbound.schemas.result.facts import Header
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.trajectory.trajectory import Trajectory, decode, encode, read_mcap
@@ -46,7 +47,7 @@ def a_run(directory: Path, name: str, payload: Callable[[RolloutRequest], bytes]
     with ledger.transaction():
         wanted = ledger.outstanding().wanted
     while wanted:
-        data = payload(ledger.request(wanted[0]))
+        data = payload(alone(ledger.request(wanted[0])))
         with ledger.transaction():
             digest = hashlib.sha256(data).hexdigest()
             wanted = [*wanted[1:], *ledger.record(wanted[0], data, decode(data), digest).wanted]
@@ -117,7 +118,7 @@ def copied(directory: Path, to: Path) -> Path:
 
 
 def damage(directory: Path, rollout: str) -> Path:
-    path = directory / files.relative_path(RolloutId.parse(rollout))
+    path = directory / files.relative_path(FileId.parse(rollout))
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 1
     path.write_bytes(data)

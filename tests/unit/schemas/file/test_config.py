@@ -23,10 +23,10 @@ def test_the_text_of_a_campaign_is_the_same_campaign(path: Path, tmp_path: Path)
 
 
 DECIDE = {
-    *("candidates", "claims", "clip", "composition", "falsify", "gap", "horizon", "max_tests", "name", "on_refuted"),
-    *("problems", "recheck", "regions", "replicates", "resolution", "risk_weight", "seed", "space", "specification"),
-    *("specifications", "spot_check", "spot_check_followups", "spot_replicates", "system", "until_counterexample"),
-    *("where", "window"),
+    *("batch", "candidates", "claims", "clip", "composition", "falsify", "gap", "horizon", "max_tests", "name"),
+    *("on_refuted", "problems", "recheck", "regions", "replicates", "resolution", "risk_weight", "seed", "space"),
+    *("specification", "specifications", "spot_check", "spot_check_followups", "spot_replicates", "system"),
+    *("until_counterexample", "where", "window"),
 }
 """Keys that decide a number of a campaign: they belong to its identity, and every seed follows from that."""
 

@@ -1,0 +1,311 @@
+"""A campaign in batches: nothing depends on the order of results, on failures within batches, or on restarts."""
+
+import hashlib
+import json
+import random
+import shutil
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from perfbound.orchestrator.campaign.admission import admit_either, scored
+from perfbound.orchestrator.campaign.ledger import Ledger, Scored, observed_rollouts
+from perfbound.orchestrator.certificate import files
+from perfbound.orchestrator.certificate.issue import issue, manifest
+from perfbound.orchestrator.certificate.verify.run import verify_certificate
+from perfbound.orchestrator.store import facts as recorded_facts
+from perfbound.orchestrator.store import read
+from perfbound.orchestrator.store.journal import Journal
+from perfbound.orchestrator.store.robustness import read_values, read_violations
+from perfbound.schemas.batch import BatchRequest
+from perfbound.schemas.errors import JournalError
+from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.result.block_facts import BatchFact, BlockObservationFact, BlockProposalFact
+from perfbound.schemas.result.facts import Header, ObservationFact, RolloutFact
+from perfbound.schemas.trajectory.batch import Batch, with_failures
+from perfbound.schemas.trajectory.trajectory import Trajectory
+from perfbound.workers.batch import run_on
+from perfbound.workers.systems import load_system
+from tests.fakes.finished import KERNEL, a_list, a_pair
+from tests.tampering import editing
+
+TABLE = {
+    "name": "batches",
+    "seed": 5,
+    "specification": "always (value >= 0.2)",
+    "clip": [-1.0, 1.0],
+    "horizon": 0.3,
+    "recheck": 0,
+    "system": {"name": "test-function"},
+    "space": {"z1": {"low": 0.0, "high": 4.0}, "z2": {"low": 0.0, "high": 3.0}},
+}
+
+
+def config(**changes: Any) -> CampaignConfig:
+    return CampaignConfig.model_validate_json(json.dumps({**TABLE, **changes}))
+
+
+def sampled(batch: int, tests: int = 50, **changes: Any) -> CampaignConfig:
+    problem = {"name": "robustness", "method": "sample", "max_tests": tests}
+    claims = [{"quantity": "failure_probability", "delta": 0.05}, {"quantity": "mean", "delta": 0.05}]
+    return config(batch=batch, claims=claims, problems=[problem], **changes)
+
+
+def planned(batch: int, name: str = "robustness", **changes: Any) -> CampaignConfig:
+    problem = {"name": name, "method": "kriging", "delta": 0.05, "rkhs_norm": 2.0, "kernel": KERNEL, "max_tests": 24}
+    return config(batch=batch, resolution=4, problems=[{**problem, **changes}], composition="single", spot_check=0)
+
+
+class Play:
+    """One campaign in this process; `failing` says which places of a batch fail at its first attempt."""
+
+    def __init__(self, directory: Path, chosen: CampaignConfig, failing: Callable[[BatchRequest], list[int]]) -> None:
+        self.directory, self._failing = directory, failing
+        self.header = Header.new(chosen, load_system("test-function").spec, {}, run="0" * 16)
+        self.journal = Journal.create(directory, self.header)
+        self.ledger = Ledger(directory, self.journal)
+        self._tried: Counter[str] = Counter()
+        self._random = random.Random(str(directory))
+        self.requests: list[BatchRequest] = []
+
+    def play(self, *, restarts: bool = False, most: int = 10_000) -> "Play":
+        with self.ledger.transaction():
+            wanted = self.ledger.outstanding().wanted
+        while wanted and most:
+            rollout = wanted.pop(self._random.randrange(len(wanted)))
+            payload, found, sha256 = self._simulated(self.ledger, rollout)
+            with self.ledger.transaction():
+                work = self.ledger.record(rollout, payload, found, sha256)
+            wanted = [each for each in [*wanted, *work.wanted] if each not in work.unwanted]
+            most -= 1
+            if restarts and self._random.random() < 0.3:
+                wanted = self.restart()
+        return self
+
+    def restart(self) -> list[Any]:
+        self.journal.close()
+        self.journal = Journal.open(self.directory)
+        self.ledger = Ledger(self.directory, self.journal)
+        self.ledger.replay()
+        self.ledger.check_files(self.journal)
+        with self.ledger.transaction():
+            return self.ledger.outstanding().wanted
+
+    def _simulated(self, ledger: Ledger, rollout: Any) -> tuple[bytes, Trajectory | Scored, str]:
+        request = ledger.request(rollout)
+        payload = run_on(load_system("test-function"), request, lambda _: None)
+        if isinstance(request, BatchRequest):
+            self.requests.append(request)
+            self._tried[request.rollout] += 1
+            if len(request) > 1 and (places := self._failing(request)):
+                payload = with_failures(payload, dict.fromkeys(places, "it diverged"))
+        sha256 = hashlib.sha256(payload).hexdigest()
+        columns = tuple(each.name for each in self.header.spec.columns)
+        admitted = admit_either(request, columns, payload, sha256)
+        if isinstance(admitted, Batch):
+            assert isinstance(request, BatchRequest)
+            return payload, scored(ledger, request, admitted), sha256
+        return payload, admitted, sha256
+
+    def certify(self) -> Any:
+        assert self.ledger.done
+        found = manifest((sha256, path) for _, sha256, path in read.observed(self.directory))
+        certificate = issue(self.ledger, found)
+        files.write(self.directory, certificate, found.text)
+        self.journal.close()
+        return certificate
+
+
+def checked(directory: Path) -> Any:
+    return verify_certificate(directory, key=None, again=0, report=lambda *_: None).checks
+
+
+def none(_: BatchRequest) -> list[int]:
+    return []
+
+
+def some(request: BatchRequest) -> list[int]:
+    """The first one, and two more: others in each batch."""
+    return sorted({0, request.test % len(request), (7 * request.test + 3) % len(request)})[: len(request) - 1]
+
+
+@contextmanager
+def played(directory: Path, chosen: CampaignConfig, **keys: Any) -> Iterator[Play]:
+    failing = keys.pop("failing", none)
+    directory.mkdir()
+    found = Play(directory, chosen, failing).play(**keys)
+    try:
+        yield found
+    finally:
+        found.journal.close()
+
+
+CAMPAIGNS = {
+    "sample, blocks": sampled(16),
+    "sample, one block": sampled(64),
+    "kriging, blocks": planned(8),
+    "kriging, blocks of replicates": planned(8, replicates=3),
+    "kriging, batches within a test": planned(4, replicates=10, max_tests=3),
+    "risk, blocks": planned(8, "true_risk", replicates=2, linearised={"centre": 0.1, "spread": 0.2}),
+    "gap, blocks": config(
+        batch=8,
+        resolution=4,
+        composition="sum",
+        spot_check=0,
+        gap={"kind": "signal_sup", "column": "value"},
+        problems=[
+            {"name": "nominal_robustness", "method": "rigorous", "delta": 0.05, "alpha": 0.5, "rkhs_norm": 2.0}
+            | {"kernel": KERNEL, "noise_scale": 0.0, "max_tests": 3},
+            {"name": "sim_gap", "method": "kriging", "delta": 0.05, "rkhs_norm": 2.0, "kernel": KERNEL}
+            | {"max_tests": 12, "replicates": 2},
+        ],
+    ),
+    "rigorous, batches within a test": a_pair("rigorous", batch=4, replicates=3),
+    "scenario, batches within a test": a_list(batch=3),
+}
+
+
+def numbers(play: Play) -> Any:
+    """What the campaign has decided, without the files in which its rollouts are."""
+    return {
+        name: (
+            series.link,
+            series.files,
+            list(series.observations),
+            list(series.each),
+            list(series.nodes),
+            series.counts,
+        )
+        for name, series in play.ledger.series.items()
+    } | {"bounds": [series.last_bound for series in play.ledger.series.values()]}
+
+
+@pytest.mark.parametrize("name", CAMPAIGNS)
+def test_neither_order_nor_failures_nor_restarts_change_what_is_decided(name: str, tmp_path: Path) -> None:
+    chosen = CAMPAIGNS[name]
+    with played(tmp_path / "a", chosen) as one, played(tmp_path / "b", chosen, failing=some, restarts=True) as other:
+        assert one.ledger.done
+        assert other.ledger.done
+        assert numbers(one) == numbers(other)
+        assert observed_rollouts(one.ledger) <= sum(len(each) for each in one.requests)  # some come after the stop
+        replayed = numbers(one)
+        one.restart()
+        assert numbers(one) == replayed
+
+
+@pytest.mark.parametrize("name", CAMPAIGNS)
+def test_its_certificate_is_verified(name: str, tmp_path: Path) -> None:
+    with played(tmp_path / "run", CAMPAIGNS[name], failing=some) as play:
+        play.certify()
+    checks = checked(tmp_path / "run")
+    assert [(line.name, line.detail) for line in checks.lines() if line.status == "failed"] == []
+
+
+@pytest.mark.parametrize("name", CAMPAIGNS)
+def test_an_observation_is_that_of_its_trajectories_one_by_one(name: str, tmp_path: Path) -> None:
+    with played(tmp_path / "run", CAMPAIGNS[name], failing=some) as play:
+        facts = list(recorded_facts.read_facts(play.journal._connection))
+        rollouts = [fact for fact in facts if isinstance(fact, RolloutFact)]
+        trajectories = {fact.rollout: play.ledger.recorded.read(fact) for fact in rollouts}
+        for fact in rollouts:
+            assert fact.robustness == play.ledger.observer.robustness(trajectories[fact.rollout])
+            assert fact.seed == play.ledger.deciders[fact.rollout.problem].seed(fact.rollout)
+        for observed in (each for each in facts if isinstance(each, ObservationFact)):
+            test = (observed.problem, observed.test)
+            mine = {each[2:]: trajectories[each] for each in sorted(trajectories) if each[:2] == test}
+            assert observed.observation == play.ledger.observer.observe(play.ledger.plans[test[0]], mine)
+
+
+def test_a_batch_is_one_file_and_one_fact(tmp_path: Path) -> None:
+    with played(tmp_path / "run", sampled(16)) as play:
+        facts = list(play.journal.facts())
+        sizes = [len(fact) for fact in facts if isinstance(fact, BatchFact)]
+        assert sorted(sizes) == [2, 16, 16, 16]
+        blocks = [fact for fact in facts if isinstance(fact, BlockProposalFact | BlockObservationFact)]
+        assert len(blocks) == 8
+        assert len(list((tmp_path / "run" / "trajectories").rglob("*.mcap"))) == 4
+
+
+def test_a_rollout_that_failed_is_made_again_alone(tmp_path: Path) -> None:
+    with played(tmp_path / "run", sampled(16), failing=lambda request: [0, 5] if len(request) > 5 else [0]) as play:
+        again = [each for each in play.requests if len(each) == 1]
+        assert sorted(each.test for each in again) == [0, 5, 16, 21, 32, 37, 48]
+        assert all(each.seeds[0] == play.ledger.deciders["robustness"].seed(each.rollouts[0]) for each in again)
+
+
+@pytest.mark.parametrize("failing", [none, some])
+def test_readers_find_every_rollout_once(tmp_path: Path, failing: Callable[[BatchRequest], list[int]]) -> None:
+    with played(tmp_path / "run", sampled(16), failing=failing):
+        values = {fact.rollout: fact.robustness for fact in recorded_facts.observed_rollouts(tmp_path / "run")}
+    assert len(values) == 50
+    listed = list(read_values(tmp_path / "run", "true", ["robustness"]))
+    assert [each.robustness for each in listed] == [values[each] for each in sorted(values)]
+    found = read_violations(tmp_path / "run", "true")
+    below = [value for value in values.values() if value is not None and value < 0]
+    assert (found.rollouts, found.violations) == (50, len(below))
+    assert found.starts == 50
+    assert found.violating_starts == len(below)
+    worst = min(values, key=lambda each: (values[each] or 0.0, each))
+    assert (found.least, found.rollout) == (values[worst], str(worst))
+
+
+@pytest.mark.parametrize("failing", [none, some])
+def test_a_damaged_batch_comes_back(tmp_path: Path, failing: Callable[[BatchRequest], list[int]]) -> None:
+    with played(tmp_path / "run", sampled(16), failing=failing) as play:
+        certificate = play.certify()
+        kept = {path: path.read_bytes() for path in (tmp_path / "run" / "trajectories").rglob("*.mcap")}
+        for place, (path, content) in enumerate(kept.items()):
+            if place % 2:
+                path.unlink()
+            else:
+                path.write_bytes(content[:-1])
+        wanted = play.restart()
+        assert wanted
+        play.play()
+        assert {path: path.read_bytes() for path in kept} == kept
+        assert play.certify() == certificate
+
+
+EDITS = {
+    "a robustness": ("rollouts", "robustness_of"),
+    "a seed": ("rollouts", "seeds"),
+    "a digest": ("rollouts", "digests"),
+    "a start": ("tests", "starts"),
+    "an observation": ("observations", "y_of"),
+    "a contribution": ("observations", "each_of"),
+}
+
+
+@pytest.mark.parametrize("name", EDITS)
+def test_an_edited_column_is_found(name: str, tmp_path: Path) -> None:
+    table, column = EDITS[name]
+    with played(tmp_path / "run", sampled(16)) as play:
+        play.certify()
+    with editing(tmp_path / "run") as database:
+        (content,) = database.execute(f"SELECT {column} FROM {table} WHERE test = 16").fetchone()
+        changed = bytearray(content)
+        changed[8:16] = np.float64(0.123).tobytes() if column != "seeds" else bytes([1] * 8)
+        database.execute(f"UPDATE {table} SET {column} = ? WHERE test = 16", [bytes(changed)])
+    assert "failed" in {line.status for line in checked(tmp_path / "run").lines()}
+    if column not in ("robustness_of",):  # which follows from the trajectories: no link of the chain has it
+        with pytest.raises(JournalError, match="contradict each other"):
+            Play.restart(_reopened(tmp_path / "run", play))
+
+
+def _reopened(directory: Path, play: Play) -> Play:
+    play.directory, play.journal = directory, Journal.open(directory)
+    return play
+
+
+def test_a_batch_of_another_campaign_is_found(tmp_path: Path) -> None:
+    for name, seed in (("run", 5), ("other", 6)):
+        with played(tmp_path / name, sampled(16, seed=seed)) as play:
+            play.certify()
+    path = next((tmp_path / "run" / "trajectories").rglob("robustness.16.*"))
+    shutil.copy(tmp_path / "other" / path.relative_to(tmp_path / "run"), path)
+    assert [line.name for line in checked(tmp_path / "run").lines() if line.status == "failed"] == ["files"]
