@@ -101,20 +101,10 @@ def batch_request(
 ) -> BatchRequest:
     """Return the request for a batch, from `first` on, of tests with these starts (k, p); each rollout has its seed."""
     return BatchRequest(
-        campaign=template.campaign,
-        config_sha256=template.config_sha256,
-        problem=first.problem,
-        test=first.test,
-        variant="nominal" if first.variant == "nominal" else "true",
-        replicate=first.replicate,
+        **template.common(first),
         replicates=len(seeds) // len(starts),
         seeds=tuple(seeds),
-        system=template.spec.name,
-        spec_sha256=template.spec_sha256,
-        options=dict(template.options),
         x=tuple(map(tuple, starts)),
-        horizon=template.horizon,
-        signals=template.spec.signals,
     )
 
 

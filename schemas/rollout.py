@@ -95,21 +95,22 @@ class RequestTemplate:
         defaults = {option.name: option.default for option in spec.options}
         return cls(spec, spec_sha256 or spec.digest, defaults | dict(options), horizon, visual, campaign, config_sha256)
 
+    def common(self, rollout: RolloutId) -> dict[str, Any]:
+        """Return the fields that a request for a rollout, and one for a batch that begins with it, share."""
+        return {
+            "campaign": self.campaign,
+            "config_sha256": self.config_sha256,
+            "problem": rollout.problem,
+            "test": rollout.test,
+            "variant": "nominal" if rollout.variant == "nominal" else "true",
+            "replicate": rollout.replicate,
+            "system": self.spec.name,
+            "spec_sha256": self.spec_sha256,
+            "options": dict(self.options),
+            "horizon": self.horizon,
+            "signals": self.spec.signals,
+        }
+
     def request(self, rollout: RolloutId, x: Sequence[float], seed: int) -> RolloutRequest:
         """Return the request for a rollout that starts at `x` (p,), in the units of the parameters."""
-        return RolloutRequest(
-            campaign=self.campaign,
-            config_sha256=self.config_sha256,
-            problem=rollout.problem,
-            test=rollout.test,
-            variant="nominal" if rollout.variant == "nominal" else "true",
-            replicate=rollout.replicate,
-            seed=seed,
-            system=self.spec.name,
-            spec_sha256=self.spec_sha256,
-            options=dict(self.options),
-            x=tuple(x),
-            horizon=self.horizon,
-            visual=self.visual,
-            signals=self.spec.signals,
-        )
+        return RolloutRequest(**self.common(rollout), x=tuple(x), seed=seed, visual=self.visual)

@@ -191,7 +191,7 @@ class SystemSpec(Model, metaclass=Written):
     def _batched(self) -> "SystemSpec":
         if self.batch_is_the_unit and not self.vectorised:
             raise ValueError("batch_is_the_unit: only a vectorised system simulates its batches together")
-        # A vectorised rollout that has ended goes on in the arrays, and an input is a function of one rollout.
+        # A vectorised rollout that has ended continues in the arrays, and an input is a function of one rollout.
         without = {"after_end": self.after_end, "signals": any(each.signal for each in self.parameters)}
         if self.vectorised and (given := [name for name, value in without.items() if value]):
             raise ValueError(f"vectorised: not together with {given[0]}")

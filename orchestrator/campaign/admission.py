@@ -1,7 +1,9 @@
 """The admission of a result: against its request, and as a fact that the ledger can use without an error."""
 
 import hashlib
-from typing import Literal
+from collections.abc import Callable
+from functools import partial
+from typing import Literal, TypeVar
 
 from ...schemas.base import canonical_json
 from ...schemas.batch import BatchRequest
@@ -16,6 +18,8 @@ from .ledger import Ledger, Scored
 from .objectives import measured
 from .observation import Others
 
+T = TypeVar("T")
+
 
 def admit(request: RolloutRequest, columns: tuple[str, ...], payload: bytes, sha256: str) -> Trajectory:
     """Return the trajectory of the rollout that `request` describes, from the bytes of its file.
@@ -28,15 +32,7 @@ def admit(request: RolloutRequest, columns: tuple[str, ...], payload: bytes, sha
         EvidenceError: the bytes have another digest, or are no trajectory file.
 
     """
-    # Before everything else: a decoder reads no bytes that were damaged on their way.
-    if hashlib.sha256(payload).hexdigest() != sha256:
-        raise EvidenceError("the result does not have the sha256 that its sender announces")
-    try:
-        file = read_canonical(payload, visual=request.visual)
-    except UnusableTrajectoryError:
-        raise
-    except TrajectoryError as fault:
-        raise EvidenceError(f"the result is not a trajectory: {fault}") from None
+    file = _read(partial(read_canonical, visual=request.visual), payload, sha256, "a trajectory")
     wanted = request.model_dump(mode="json")
     if canonical_json(file.request) != canonical_json(wanted):  # as text: 1, 1.0 and true are equal in Python
         differing = sorted(key for key in file.request | wanted if file.request.get(key) != wanted.get(key))
@@ -59,14 +55,7 @@ def admit_either(
 
 def admit_batch(request: BatchRequest, columns: tuple[str, ...], payload: bytes, sha256: str) -> Batch:
     """Return the trajectories of the batch that `request` describes, from the bytes of its file; raises as `admit`."""
-    if hashlib.sha256(payload).hexdigest() != sha256:
-        raise EvidenceError("the result does not have the sha256 that its sender announces")
-    try:
-        file = read_batch(payload)
-    except UnusableTrajectoryError:
-        raise
-    except TrajectoryError as fault:
-        raise EvidenceError(f"the result is not a batch of trajectories: {fault}") from None
+    file = _read(read_batch, payload, sha256, "a batch of trajectories")
     if file.request != canonical_json(request.model_dump(mode="json")).encode():
         raise RequestError("the batch was simulated for another request")
     batch = file.batch
@@ -79,6 +68,18 @@ def admit_batch(request: BatchRequest, columns: tuple[str, ...], payload: bytes,
     if {**file.metadata, "columns": ""} != {**request.metadata, "columns": ""}:
         raise RequestError("the metadata of the batch are those of another one")
     return batch
+
+
+def _read(reader: Callable[[bytes], T], payload: bytes, sha256: str, wanted: str) -> T:
+    # Before everything else: a decoder reads no bytes that were damaged on their way.
+    if hashlib.sha256(payload).hexdigest() != sha256:
+        raise EvidenceError("the result does not have the sha256 that its sender announces")
+    try:
+        return reader(payload)
+    except UnusableTrajectoryError:
+        raise
+    except TrajectoryError as fault:
+        raise EvidenceError(f"the result is not {wanted}: {fault}") from None
 
 
 def check_whole(trajectory: Trajectory, columns: tuple[str, ...], horizon: float) -> None:
