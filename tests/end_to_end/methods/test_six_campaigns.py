@@ -86,8 +86,7 @@ def test_the_index_has_all_six_and_their_verdicts(started: Processes, browser: B
     with chromium.watched(browser) as watch:
         watch.page.goto(address)
         # A row is there before its database has been read.
-        read = "td[data-state]:not([data-state='unread'])"
-        watch.page.wait_for_function(f"document.querySelectorAll(\"tbody {read}\").length === {len(CASES)}")
+        watch.page.wait_for_selector("html[data-unread='0'] tbody tr")
         rows = {row.locator("a").first.inner_text(): row.inner_text() for row in watch.page.locator("tbody tr").all()}
         for case in CASES:
             assert case.verdict in rows[case.name]
