@@ -178,7 +178,7 @@ class Ledger:
             first, replicates
         ):  # it has failed in its batch, and is made again alone
             tests = replicates = 1
-        starts = [series.start(test) for test in range(rollout.test, rollout.test + tests)]
+        starts = series.starts(rollout.test, tests)
         seeds = self._of(rollout).seeds(rollout, tests, replicates)
         return batch_request(self._template, rollout, starts, seeds)
 
@@ -207,7 +207,8 @@ class Ledger:
         file = (sha256, len(payload), path)
         if isinstance(found, Scored):
             assert isinstance(request, BatchRequest)
-            fact: RolloutFact | BatchFact = _batch_fact(rollout, request, found, file)
+            block = state.plan_of(self.state, rollout.problem).batch_of(rollout)[0].test
+            fact: RolloutFact | BatchFact = _batch_fact(rollout, block, request, found, file)
         else:
             assert isinstance(request, RolloutRequest)
             fact = RolloutFact(rollout, request.seed, *file, *scores(self.observer, rollout, found))
@@ -277,7 +278,7 @@ class Ledger:
                 event = state.Proposed(problem, test)
             case BatchFact(rollout):
                 series = self.series[rollout.problem]
-                series.record(fact, state.plan_of(self.state, rollout.problem).batch_of(rollout)[0].test)
+                series.record(fact)
                 event = state.Recorded(rollout, fact.failed)
             case BlockObservationFact(problem):
                 series = self.series[problem]
@@ -308,8 +309,7 @@ class Ledger:
                 event = state.Extended(budgets)
             case BoundFact(problem, test):
                 self.series[problem].bound(fact)
-                plan = state.plan_of(self.state, problem)
-                event = state.Observed(problem, plan.first_of(plan.block_of(test)), fact.bound.verdict)
+                event = state.Observed(problem, test + 1 - fact.tests, fact.bound.verdict)
         self.state, actions = state.step(self.state, event)
         # The last observation may withdraw rollouts as well: they come before what the check begins with.
         return (*actions[:-1], *self._begin_check()) if state.Certify() in actions else actions
@@ -325,12 +325,15 @@ class Ledger:
         return actions
 
 
-def _batch_fact(rollout: RolloutId, request: BatchRequest, found: Scored, file: tuple[str, int, str]) -> BatchFact:
+def _batch_fact(
+    rollout: RolloutId, block: int, request: BatchRequest, found: Scored, file: tuple[str, int, str]
+) -> BatchFact:
     scores, failures = found.scores, sorted(found.scores.failures.items())
     nothing = bytes(DIGEST)
     digests = [nothing if place in scores.failures else each for place, each in enumerate(found.batch.digests())]
     return BatchFact(
         rollout,
+        block,
         request.replicates,
         *file,
         seed_column=column(request.seeds, "<u8"),

@@ -147,12 +147,12 @@ class Series:
             tuple(self.course),
         )
 
-    def record(self, fact: BatchFact, first: int) -> None:
-        """Take a recorded batch of the open test, or block, that begins with a test."""
-        if first in self.blocks:
-            self.batches.setdefault(first, []).append(fact)
+    def record(self, fact: BatchFact) -> None:
+        """Take a recorded batch of an open test, or block."""
+        if fact.block in self.blocks:
+            self.batches.setdefault(fact.block, []).append(fact)
         else:
-            self.rollouts.setdefault(first, []).extend(fact.each())
+            self.rollouts.setdefault(fact.block, []).extend(fact.each())
 
     def has_begun(self, first: RolloutId, replicates: int) -> bool:
         """Whether the batch of an open test, or block, that begins with `first` is recorded, also if `first` failed."""
@@ -161,12 +161,13 @@ class Series:
         numbers = range(first.replicate, first.replicate + replicates)
         return any(each.rollout.variant == first.variant and each.rollout.replicate in numbers for each in facts)
 
-    def start(self, test: int) -> tuple[float, ...]:
-        """Return the start of an open test."""
-        if test in self.proposals:
-            return self.proposals[test].proposal.x
-        block = next(each for each in self.blocks.values() if each.test <= test < each.test + len(each))
-        return block.of_test(test).proposal.x
+    def starts(self, first: int, tests: int) -> list[Sequence[float]]:
+        """Return the starts of so many open tests of one block, from `first` on."""
+        if first in self.proposals:
+            return [self.proposals[first].proposal.x]
+        block = next(each for each in self.blocks.values() if each.test <= first < each.test + len(each))
+        found: list[Sequence[float]] = block.x[first - block.test : first - block.test + tests].tolist()
+        return found
 
     def next_link(self, test: int, observation: Observation) -> str:
         """Return the head of the hash chain after the observation of an open test."""

@@ -46,7 +46,7 @@ def rollout_fact(row: Any) -> RolloutFact | BatchFact:
         failures = tuple((int(place), str(reason)) for place, reason in json.loads(row.failures))
         robustness, tolerance, ended = (each or b"" for each in (row.robustness_of, row.by_tolerance_of, row.ended_of))
         columns = (row.seeds, row.digests, robustness, tolerance, ended)
-        return BatchFact(rollout, row.replicates, *file, *columns, failures)
+        return BatchFact(rollout, row.block, row.replicates, *file, *columns, failures)
     return RolloutFact(rollout, row.seed, *file, row.robustness, bool(row.by_tolerance), row.ended)
 
 
@@ -105,7 +105,14 @@ def fact_row(fact: StoredFact) -> tuple[str, dict[str, Any]]:
         case RolloutFact(rollout):
             row = rollout._asdict() | {name: getattr(fact, name) for name in _OF_ROLLOUT}
             violations = int(fact.robustness is not None and fact.robustness < 0)
-            row |= {"replicates": 1, "places": 1, "rollouts": 1, "violations": violations, **dict.fromkeys(_OF_BATCH)}
+            row |= {
+                "block": rollout.test,
+                "replicates": 1,
+                "places": 1,
+                "rollouts": 1,
+                "violations": violations,
+                **dict.fromkeys(_OF_BATCH),
+            }
             table = "rollouts"
         case BatchFact():
             row, table = _batch_row(fact), "rollouts"
@@ -123,7 +130,7 @@ def fact_row(fact: StoredFact) -> tuple[str, dict[str, Any]]:
             table = "observations"
         case BoundFact(problem, test, bound):
             row = {"problem": problem, "test": test, "upper": bound.upper, "lower": bound.lower}
-            row["stopped_by"] = fact.stopped_by
+            row |= {"stopped_by": fact.stopped_by, "block": test + 1 - fact.tests}
             table = "bounds"
         case ExtensionFact(number, budgets):
             row = {"number": number, "budgets": canonical_json([list(each) for each in budgets])}
@@ -149,6 +156,7 @@ def _batch_row(fact: BatchFact) -> dict[str, Any]:
         "robustness": None if values is None else float(values.min()),
         "by_tolerance": int(fact.by_tolerance.any()),
         "ended": None,
+        "block": fact.block,
         "replicates": fact.replicates,
         "places": len(fact),
         "rollouts": int(kept.sum()),

@@ -225,18 +225,13 @@ def observed(directory: Path) -> list[tuple[RolloutId, str, str]]:
     rollouts, seen = tables.rollouts.c, tables.observations.c
     # Joined with the observations: whether a rollout is recorded after its problem has stopped depends on the speed of
     # the workers, and the certificate must not.
-    same = (rollouts.problem == seen.problem) & (rollouts.test == seen.test)
-    # A rollout that failed in its batch was made again: it belongs to the block in which its test is not the first one.
-    later = (rollouts.problem == seen.problem) & (rollouts.test > seen.test) & (rollouts.test < seen.test + seen.tests)
+    joined = tables.rollouts.join(
+        tables.observations, (rollouts.problem == seen.problem) & (rollouts.block == seen.test)
+    )
     rollout = (rollouts.problem, rollouts.test, rollouts.variant, rollouts.replicate)
     query = sa.select(*rollout, rollouts.sha256, rollouts.path, rollouts.places)
     with reading(directory) as connection:
         order = [problem.name for problem in read_header(connection, directory).config.problems]
-        rows = [
-            *connection.execute(query.select_from(tables.rollouts.join(tables.observations, same))),
-            *connection.execute(
-                query.select_from(tables.rollouts.join(tables.observations, later)).where(rollouts.seeds.is_not(None))
-            ),
-        ]
+        rows = list(connection.execute(query.select_from(joined)))
     rows.sort(key=lambda row: (*series_order(order, row.problem), *row[1:4], -row.places))
     return [(RolloutId(*row[:4]), str(row[4]), str(row[5])) for row in rows]

@@ -43,24 +43,11 @@ _RECORDED = "SELECT total(rollouts) FROM rollouts"
 _ANY_BLOCK = "SELECT 1 FROM rollouts WHERE seeds IS NOT NULL LIMIT 1"
 _ROW = "r.problem, r.test, r.replicate, r.replicates, r.places, r.rollouts, r.violations"
 _WHICH = "r.variant = ? AND r.problem IN (SELECT value FROM json_each(?)) AND r.robustness IS NOT NULL"
-_ALONE = """
-    SELECT :row, r.robustness, r.robustness_of, t.x FROM rollouts r JOIN tests t USING (problem, test)
-    JOIN observations USING (problem, test) WHERE :which AND t.nodes IS NULL
-"""
-_OF_BLOCK = """
-    SELECT :row, r.robustness, r.robustness_of, t.starts, t.tests, 0 FROM rollouts r
-    JOIN tests t USING (problem, test) JOIN observations USING (problem, test) WHERE :which AND t.nodes IS NOT NULL
-"""
-# A rollout that failed in its batch and was made again, unless its test is the first of the block.
-_OF_BLOCK_LATER = """
-    SELECT :row, r.robustness, r.robustness_of, t.starts, t.tests, r.test - t.test FROM rollouts r
-    JOIN tests t ON t.problem = r.problem AND t.test < r.test AND r.test < t.test + t.tests
-    JOIN observations o ON o.problem = t.problem AND o.test = t.test
-    WHERE :which AND r.seeds IS NOT NULL AND t.nodes IS NOT NULL
-"""
-_ALONE, _OF_BLOCK, _OF_BLOCK_LATER = (
-    query.replace(":row", _ROW).replace(":which", _WHICH) for query in (_ALONE, _OF_BLOCK, _OF_BLOCK_LATER)
-)
+_BATCHES = """
+    SELECT :row, r.robustness, r.robustness_of, t.x, t.starts, t.tests, r.test - t.test FROM rollouts r
+    JOIN tests t ON t.problem = r.problem AND t.test = r.block
+    JOIN observations o ON o.problem = r.problem AND o.test = r.block WHERE :which
+""".replace(":row", _ROW).replace(":which", _WHICH)
 _VALUES = f"SELECT test, replicate, x, robustness {_OF} ORDER BY test, replicate"
 
 # A recheck observes 1 where both trajectories agree; their files differ, because each names its rollout.
@@ -187,14 +174,12 @@ class _Batch(NamedTuple):
 
 
 def _batches(connection: sqlite3.Connection, variant: str, series: list[str]) -> Iterator[_Batch]:
-    which = [variant, json.dumps(series)]
-    for row in connection.execute(_ALONE, which):
-        *same, robustness, values, x = row
-        start = json.loads(x)
-        packed = struct.pack(f"<{len(start)}d", *start)
-        yield _Batch._make([*same, robustness, values or struct.pack("<d", robustness), packed, 1, 0])
-    for query in (_OF_BLOCK, _OF_BLOCK_LATER):
-        yield from (_Batch._make(row) for row in connection.execute(query, which))
+    for row in connection.execute(_BATCHES, [variant, json.dumps(series)]):
+        *same, robustness, values, x, starts, tests, first = row
+        if starts is None:
+            start = json.loads(x)
+            starts = struct.pack(f"<{len(start)}d", *start)
+        yield _Batch._make([*same, robustness, values or struct.pack("<d", robustness), starts, tests, first])
 
 
 def read_number_of_rollouts(directory: Path) -> int:

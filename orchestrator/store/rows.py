@@ -99,7 +99,7 @@ def bound_fact(row: Any) -> BoundFact:
     """Read a row of `bounds`."""
     budget = row.stopped_by == "budget"
     bound = Bound(row.upper, row.lower, None if budget else row.stopped_by)
-    return BoundFact(row.problem, row.test, bound, budget)
+    return BoundFact(row.problem, row.test, bound, budget, row.test + 1 - row.block)
 
 
 def extension_fact(row: Any) -> ExtensionFact:

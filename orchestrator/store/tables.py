@@ -77,6 +77,7 @@ rollouts = Table(
     Column("robustness", REAL),  # clipped; recomputed from the trajectory by `verify`
     Column("by_tolerance", Integer, nullable=False),  # 1 where the tolerance around time stamps could decide its sign
     Column("ended", REAL),  # s at which it ended before the horizon, if it did
+    Column("block", Integer, nullable=False),  # first test of its block; its own test without one
     Column("replicates", Integer, nullable=False, server_default="1"),  # of each test in the batch; 1 without one
     Column("places", Integer, nullable=False, server_default="1"),  # rollouts of the batch; 1 without one
     Column("rollouts", Integer, nullable=False, server_default="1"),  # of them, with a trajectory
@@ -87,9 +88,9 @@ rollouts = Table(
     Column("by_tolerance_of", LargeBinary),  # a byte each
     Column("ended_of", LargeBinary),  # float64, NaN where it did not end
     Column("failures", Text),  # place in the batch and reason of each failed rollout, JSON
-    # The retry of a rollout that failed in a batch is a batch of its own, perhaps with the same first rollout; its test
-    # need not be the first of a block, which alone has a row of `tests`: there is no foreign key.
+    # The retry of a rollout that failed in a batch is a batch of its own, perhaps with the same first rollout.
     UniqueConstraint("problem", "test", "variant", "replicate", "places"),
+    ForeignKeyConstraint(["problem", "block"], ["tests.problem", "tests.test"]),
     sqlite_strict=True,
 )
 
@@ -139,7 +140,9 @@ bounds = Table(
     Column("upper", REAL),  # upper bound on max J if the campaign stopped here; NULL where the method has none yet
     Column("lower", REAL),  # its partner; NULL in method paper, which has none
     Column("stopped_by", Text),
+    Column("block", Integer, nullable=False),  # first test of its block; its own test without one
     UniqueConstraint("problem", "test"),
+    ForeignKeyConstraint(["problem", "block"], ["observations.problem", "observations.test"]),
     sqlite_strict=True,
 )
 

@@ -78,6 +78,8 @@ class BatchFact:
     """
 
     rollout: RolloutId
+    block: int
+    """The first test of the block that it belongs to."""
     replicates: int
     """Of each test."""
     sha256: str

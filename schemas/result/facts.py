@@ -145,12 +145,16 @@ class ObservationFact:
 
 @dataclass(frozen=True, slots=True)
 class BoundFact:
-    """The bound after a test; with `budget` the budget, and not the method, ends the problem here."""
+    """The bound after a test; with `budget` the budget, and not the method, ends the problem here.
+
+    Of a block `test` is the last one, and `tests` the number of them.
+    """
 
     problem: str
     test: int
     bound: Bound
     budget: bool = False
+    tests: int = 1
 
     @property
     def stopped_by(self) -> StoppedBy | None:

@@ -545,9 +545,9 @@ def test_tables_that_are_none_of_ours(campaign: Path, statement: str) -> None:
 
 def test_rows_that_stand_there_twice(campaign: Path) -> None:
     with editing(campaign) as database:
-        columns = "seq, problem, test, upper, lower, stopped_by"
+        columns = "seq, problem, test, upper, lower, stopped_by, block"
         database.execute("ALTER TABLE bounds RENAME TO once")
-        database.execute("CREATE TABLE bounds (seq, problem, test, upper, lower, stopped_by)")
+        database.execute("CREATE TABLE bounds (seq, problem, test, upper, lower, stopped_by, block)")
         database.execute(f"INSERT INTO bounds SELECT {columns} FROM once")
         database.execute(f"INSERT INTO bounds SELECT -{columns} FROM once WHERE test = 3")
         database.execute("DROP TABLE once")
@@ -558,7 +558,7 @@ def test_a_rollout_of_a_test_that_nobody_proposed(campaign: Path) -> None:
     with editing(campaign) as database:
         database.execute(
             "INSERT INTO rollouts (seq, problem, test, variant, replicate, seed, sha256, size, path, robustness, "
-            "by_tolerance) SELECT 9999, problem, 77, variant, replicate, seed, sha256, size, path, -1, 0 "
+            "by_tolerance, block) SELECT 9999, problem, 77, variant, replicate, seed, sha256, size, path, -1, 0, 77 "
             "FROM rollouts WHERE test = 3 LIMIT 1"
         )
     assert failed(campaign) == ["database"]

@@ -326,6 +326,7 @@ def test_counterexamples_with_a_hostile_path_harm_no_file(tmp_path: Path, no_dis
     finish(play(tmp_path / "run", a_pair("paper")), tmp_path / "run")
     row: dict[str, Any] = {"problem": "sim_gap", "test": 0, "variant": "true", "replicate": 9, "seed": 1}
     row |= {"sha256": "0" * 64, "size": 1, "path": "../../x", "robustness": -0.05, "by_tolerance": 0}
+    row |= {"block": 0, "violations": 1}
     insert(tmp_path / "run", "rollouts", seq=10**6, **row)
     for path in write.write_page(tmp_path / "run", write.collected(tmp_path / "run")):
         assert path.is_relative_to(tmp_path / "run")

@@ -196,18 +196,10 @@ def test_a_fact_is_written_once(journal: Journal, fact: Fact) -> None:
     assert list(journal.facts()) == FACTS[:4]
 
 
-def test_an_observation_needs_its_test(journal: Journal) -> None:
-    """A rollout or a bound may be of any test of a block, of which the first alone has a row: a replay checks it."""
-    with pytest.raises(sa.exc.IntegrityError), journal.transaction():
-        journal.add(FACTS[2])
-
-
-@pytest.mark.parametrize("orphan", [FACTS[1], FACTS[3]], ids=["rollout", "bound"])
-def test_a_fact_needs_the_one_before(journal: Journal, tmp_path: Path, orphan: Fact) -> None:
-    with journal.transaction():
-        journal.add(orphan)
-    with pytest.raises(JournalError, match="the facts contradict each other"):
-        Ledger(tmp_path, journal).replay()
+def test_a_fact_needs_the_one_before(journal: Journal) -> None:
+    for orphan in FACTS[1:4]:
+        with pytest.raises(sa.exc.IntegrityError), journal.transaction():
+            journal.add(orphan)
 
 
 def test_the_highest_attempt_is_known_and_the_first_outcome_stands(journal: Journal, tmp_path: Path) -> None:

@@ -513,7 +513,7 @@ def test_hostile_names_are_text(one: Path) -> None:
 
 @pytest.mark.parametrize("path", ["../../etc/passwd", "/etc/passwd", "trajectories/../../x", "javascript:alert(1)"])
 def test_a_path_that_leaves_the_run_directory_is_no_link_and_is_not_read(one: Path, path: str) -> None:
-    row = {"problem": "sim_gap", "test": 0, "variant": "true", "replicate": 9, "seed": 1}
+    row = {"problem": "sim_gap", "test": 0, "block": 0, "variant": "true", "replicate": 9, "seed": 1, "violations": 1}
     insert(one, "rollouts", seq=10**6, **row, sha256="0" * 64, size=1, path=path, robustness=-0.04, by_tolerance=0)
     scene = Collector(one).rollouts_of_test("sim_gap", 0)
     assert scene.error is not None
