@@ -1,9 +1,15 @@
 """Port of the three methods: the next test, and the bound of max J that the observations so far prove."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ....schemas.values import Band, Bound, Observation, Proposal
+from ..gp.kernels import Floats
+
+Integers = NDArray[np.int64]
 
 
 class Method(Protocol):
@@ -37,10 +43,34 @@ class Method(Protocol):
         """Add an observation, and return the bound that follows from all of them; on an error nothing changes."""
         ...
 
+    def observe_each(self, nodes: Integers, y: Floats, each: Floats) -> Bound:
+        """Add the observations of k tests in their order; return the bound after the last one.
+
+        `nodes` (k,) are their candidates, `y` (k,) the observations, and `each` (k, b) the contributions of the
+        replicates, equally many for each test; k is at least 1. State and bounds are to the bit those of `observe`,
+        test by test; on an error nothing changes.
+
+        What is here is for methods that choose each test from the observations before it: one test after the other,
+        where an error leaves those before it.
+        """
+        bound = Bound(None, None, None)
+        for proposal, observation in _tests(nodes, y, each):
+            bound = self.observe(proposal, observation)
+        return bound
+
     def recall(self, tests: Sequence[tuple[Proposal, Observation]]) -> None:
         """Add observations whose bounds are known; afterwards `band` is current, and a stored bound may not be."""
         ...
 
+    def recall_each(self, nodes: Integers, y: Floats, each: Floats) -> None:
+        """Add observations as `observe_each`, whose bounds are known, as `recall`."""
+        self.recall(list(_tests(nodes, y, each)))
+
     def band(self, bound: Bound) -> Band:
         """Return the band over the candidates after at least one observation; `bound` followed from the last one."""
         ...
+
+
+def _tests(nodes: Integers, y: Floats, each: Floats) -> Iterator[tuple[Proposal, Observation]]:
+    for node, value, contributions in zip(nodes.tolist(), y.tolist(), each.tolist(), strict=True):
+        yield Proposal(node, (), None, None, None, None), Observation(value, tuple(contributions))

@@ -18,7 +18,7 @@ from ...gp.lattice import Lattice
 from ...gp.points import point_at
 from ...gp.posterior import Posterior
 from ...gp.radial import Radial
-from ..method import Method
+from ..method import Integers, Method
 from .formulas import PaperParameters, epsilon, eta, regret_bound, upper_confidence_bound
 
 SMALLEST_VARIANCE = 1e-16
@@ -122,6 +122,22 @@ class PaperMethod(Method):
         else:
             sigma = float(acquisition.sigma[proposal.node])
         return self.observe(replace(proposal, F=regret_bound(acquisition.beta, sigma)), observation)
+
+    def observe_each(self, nodes: Integers, y: Floats, each: Floats) -> Bound:
+        """Add observations, and return no bound: it follows from F of a proposal. Raises as `recall_each`."""
+        self.recall_each(nodes, y, each)
+        return Bound(None, None, None)
+
+    def recall_each(self, nodes: Integers, y: Floats, each: Floats) -> None:
+        """Add observations whose bounds are known.
+
+        Raises:
+            ValueError: starts are refined, so that no node is a start; use `recall`.
+
+        """
+        if self._refine:
+            raise ValueError("refined starts are no nodes: add each observation with its proposal")
+        super().recall_each(nodes, y, each)
 
     def stops(self, proposal: Proposal) -> bool:
         """Return whether the campaign may stop once this proposal's observation is recorded: F_i <= alpha."""

@@ -25,7 +25,7 @@ from perfbound.orchestrator.mathematics.bounds.paper.formulas import (
 from perfbound.orchestrator.mathematics.bounds.paper.method import PaperMethod
 from perfbound.orchestrator.mathematics.gp.kernels import Matern
 from perfbound.orchestrator.mathematics.gp.lattice import PARTS, Lattice
-from perfbound.schemas.values import Proposal
+from perfbound.schemas.values import Bound, Proposal
 from tests.fakes.observations import an_observation
 
 KERNEL = Matern(nu=10, length_scale=1.0)
@@ -286,3 +286,20 @@ class TestTestFunction:
         wrong = sum(bound < 0.5 for _, bound in runs)
         assert wrong <= binom.ppf(0.999, len(runs), 0.0915)
         assert min(bound for _, bound in runs) > 0.45
+
+
+class TestManyAtOnce:
+    def test_observations_enter_and_no_bound_follows(self) -> None:
+        nodes, y = np.array([3, 60, 3]), np.array([0.1, 0.4, 0.2])
+        one, other, recalled = (PaperMethod(SMALL, KERNEL, preset()) for _ in range(3))
+        one.recall([an_observation(node, value) for node, value in zip(nodes.tolist(), y.tolist(), strict=True)])
+        assert other.observe_each(nodes, y, y[:, None]) == Bound(None, None, None)
+        recalled.recall_each(nodes, y, y[:, None])
+        assert one.propose() == other.propose() == recalled.propose()
+
+    def test_refined_starts_are_no_nodes(self) -> None:
+        method = PaperMethod(SMALL, KERNEL, preset(), refine=True)
+        for call in (method.observe_each, method.recall_each):
+            with pytest.raises(ValueError, match="its proposal"):
+                call(np.array([3]), np.zeros(1), np.zeros((1, 1)))
+        assert method.n == 0
