@@ -117,7 +117,7 @@ class TestAllButShare:
             bound = CvarSequence(0.2, (0.0, 1.0), delta=1e-299, choice=sample_quantile)
             for value in row:
                 bound.add(float(value))
-            assert bound._wealth[:, 512].sum() == pytest.approx(found[run, -1], rel=1e-9)
+            assert bound._bets.wealth[:, 512].sum() == pytest.approx(found[run, -1], rel=1e-9)
 
     @pytest.mark.parametrize("runs", SIZES)
     @pytest.mark.parametrize("share", [0.1, 0.5])

@@ -7,8 +7,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import binom
 
-from perfbound.orchestrator.mathematics.bounds.one_law.betting import BOLD_AND_CAREFUL, GRID, BettingSequence, Past
+from perfbound.orchestrator.mathematics.bounds.one_law.betting import BOLD_AND_CAREFUL, BettingSequence, Past
 from perfbound.orchestrator.mathematics.bounds.one_law.risk_upper import RiskUpperBound
+from perfbound.orchestrator.mathematics.bounds.one_law.wealth import GRID
 
 Floats = NDArray[np.float64]
 DELTA = 0.05

@@ -237,14 +237,14 @@ class TestRiskMartingale:
         for row in values:
             # Delta enters s alone: the same as that of the vectorised rule, with a threshold that is never reached.
             bound = RiskSequence(risk_weight, (0.0, 1.0), delta=DELTA)
-            bound._threshold = math.inf
+            bound._bets.thresholds = (math.inf,)
             for value in row.tolist():
                 bound.add(value)
             bounds.append(bound)
-        m = float(bounds[0]._candidates[2048])
+        m = float(bounds[0]._bets.candidates[2048])
         found = risk_wealth(values, risk_weight, m)
         for bound, row in zip(bounds, found, strict=True):
-            assert bound._wealth[:, 2048].sum() == pytest.approx(row[-1], rel=1e-9)
+            assert bound._bets.wealth[:, 2048].sum() == pytest.approx(row[-1], rel=1e-9)
 
     @pytest.mark.parametrize("runs", SIZES)
     @pytest.mark.parametrize(("risk_weight", "p"), [(0.0, 0.5), (0.0, 0.05), (0.5, 0.5), (0.5, 0.05)])
@@ -293,7 +293,7 @@ class FixedConstants(RiskSequence):
 
 
 def moments(bound: PredictableSequence) -> None:
-    x = np.array([bound._read(value) for value in bound._sorted])
+    x = bound._read(bound._sorted)
     bound._weight, bound._mean, bound._squares = float(len(x)), float(x.mean()), float(x.var() * len(x))
 
 

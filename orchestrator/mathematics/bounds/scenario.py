@@ -37,6 +37,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import lru_cache
+from itertools import groupby
 from typing import Literal, get_args
 
 import numpy as np
@@ -46,15 +48,19 @@ from ..gp.acquisition import rival_node
 from ..gp.kernels import Floats
 from ..gp.lattice import check_index
 from ..gp.points import Candidates, point_at
-from .method import Method
-from .one_law.betting import CAREFUL, GRID, BettingSequence, Past
+from .method import Integers, Method
+from .one_law.betting import CAREFUL, BettingSequence, Past
+from .one_law.many import are_within, units
 from .one_law.predictable import RiskSequence
 from .one_law.risk import RiskReading
+from .one_law.wealth import GRID
 
 Risk = Literal["linearised", "predictable", "bhatia-davis", "mean"]
 
 MAX_SCENARIOS = 1000
 """Each scenario keeps about 100 kB of wealth."""
+PIECE = 2**12
+"""Tests whose moments are kept at a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,16 +226,26 @@ class ScenarioMethod(Method):
         """
         return self.bound_after([(proposal, observation)])
 
+    def observe_each(self, nodes: Integers, y: Floats, each: Floats) -> Bound:
+        """Add the robustness of every rollout of k tests and return the bound; raises as `observe`."""
+        self.recall_each(nodes, y, each)
+        return self._bound()
+
     def bound_after(self, tests: Sequence[tuple[Proposal, Observation]]) -> Bound:
         """Add observations, and return the bound that follows from all of them; raises as `observe`."""
         self.recall(tests)
-        found = self.bound()
-        return Bound(-found.ell, -found.upper, found.verdict(self._alpha))
+        return self._bound()
 
     def recall(self, tests: Sequence[tuple[Proposal, Observation]]) -> None:
         """Add observations; raises as `observe`."""
-        for proposal, observation in tests:
-            self._add(proposal.node, observation.each)
+        for width, alike in groupby(tests, key=lambda test: len(test[1].each)):
+            found = list(alike)
+            each = np.array([observation.each for _, observation in found], dtype=np.float64)
+            self._add(np.array([proposal.node for proposal, _ in found]), each.reshape(len(found), width))
+
+    def recall_each(self, nodes: Integers, y: Floats, each: Floats) -> None:  # noqa: ARG002
+        """Add observations; raises as `observe`."""
+        self._add(nodes, each)
 
     def band(self, bound: Bound) -> Band:  # noqa: ARG002  (the bounds of the scenarios are stored)
         """Return the band; no scenario has a lower bound of its own, and the upper ones are valid one by one."""
@@ -252,25 +268,43 @@ class ScenarioMethod(Method):
         states = tuple(scenario.state for scenario in self._scenarios)
         worst = min(range(self.size), key=lambda k: (states[k].lower, k))
         # L bounds the largest mean of 1 - x from below, so 1 - L bounds the least mean of x from above.
-        upper = self._reading.upper(Fraction(GRID - self._upper.rejected(), GRID))
+        upper = _upper(self._reading, self._upper.rejected())
         return ScenarioBound(states[worst].lower, upper, worst, states)
 
     def stops(self) -> bool:
         """Return whether further rollouts can gain at most alpha: 0 <= upper - ell <= alpha."""
         return self.bound().verdict(self._alpha) == "converged"
 
-    def _add(self, index: int, values: Sequence[float]) -> None:
-        check_index(index, self.size)
+    def _bound(self) -> Bound:
+        found = self.bound()
+        return Bound(-found.ell, -found.upper, found.verdict(self._alpha))
+
+    def _add(self, nodes: Integers, values: Floats) -> None:
+        """Add the values of tests (k, b) at their scenarios (k,)."""
+        if not len(nodes):
+            return
         low, high = self._reading.clip
+        for index in nodes[(nodes < 0) | (nodes >= self.size)].tolist():
+            check_index(index, self.size)
         # Checked before the first bet: half a test would change the state.
-        if not values or not all(low <= value <= high for value in values):
-            raise ValueError(f"a test needs values within the clip [{low}, {high}], not {list(values)}")
-        scenario = self._scenarios[index]
-        for value in values:
-            # The bet is a function of the past alone, so it is made before the past takes the value in.
-            self._upper.observe(1.0 - self._reading.unit(value), scenario.complement)
-            scenario.observe(value)
-        scenario.close_test()
+        if not values.shape[1] or not are_within(values, low, high):
+            wrong = values[~((values >= low) & (values <= high)).all(axis=1)][:1].ravel().tolist()
+            raise ValueError(f"a test needs values within the clip [{low}, {high}], not {wrong}")
+        for first in range(0, len(nodes), PIECE):
+            self._bet(nodes[first : first + PIECE], values[first : first + PIECE])
+
+    def _bet(self, nodes: Integers, values: Floats) -> None:
+        x = units(values, self._reading)
+        complement = 1.0 - x
+        visited, past = sorted(set(nodes.tolist())), np.empty((*x.shape, 3))
+        places = [np.flatnonzero(nodes == index) if len(visited) > 1 else slice(None) for index in visited]
+        for index, tests in zip(visited, places, strict=True):
+            # A bet is a function of the rollouts before, of the scenario alone.
+            found = self._scenarios[index].complement.before(complement[tests].ravel().tolist())
+            past[tests] = found.reshape(-1, x.shape[1], 3)
+        self._upper.observe_each(complement.ravel(), past.reshape(-1, 3))
+        for index, tests in zip(visited, places, strict=True):
+            self._scenarios[index].observe(values[tests], x[tests])
 
 
 def _in_flight(pending: Sequence[int], size: int) -> list[int]:
@@ -291,15 +325,10 @@ class _Scenario(ABC):
         self.tests = 0
         self.state = self._state()
 
-    def observe(self, value: float) -> None:
-        """Bet on one value, then add it to the past."""
-        x = self._reading.unit(value)
-        self._bet(value, x)
-        self.complement.add(1.0 - x)
-
-    def close_test(self) -> None:
-        """Count a test whose values have all been observed."""
-        self.tests += 1
+    def observe(self, values: Floats, x: Floats) -> None:
+        """Bet on the values (k, b) of k tests, which are x in [0, 1]."""
+        self._bet(values.ravel(), x.ravel())
+        self.tests += len(values)
         self.state = self._state()
 
     def expected(self, flying: int) -> float:
@@ -318,8 +347,8 @@ class _Scenario(ABC):
         return mean - (mean - lower) * (self.tests / (self.tests + flying)) if flying else lower
 
     @abstractmethod
-    def _bet(self, value: float, x: float) -> None:
-        """Bet on one value, which is x in [0, 1]."""
+    def _bet(self, values: Floats, x: Floats) -> None:
+        """Bet on values, which are x in [0, 1]."""
 
     @abstractmethod
     def _outlook(self) -> tuple[float, float]:
@@ -349,16 +378,26 @@ class _ConstantScenario(_Scenario):
         self._past = Past(imaginary=1)  # of x
         super().__init__(reading)
 
-    def _bet(self, value: float, x: float) -> None:  # noqa: ARG002
-        self._sequence.observe(x, self._past)
-        self._past.add(x)
+    def _bet(self, values: Floats, x: Floats) -> None:  # noqa: ARG002
+        self._sequence.observe_each(x, self._past.before(x.tolist()))
 
     def _outlook(self) -> tuple[float, float]:
         """Return lower bound and mean of x."""
         return self._sequence.lower(), 1.0 - self.complement.mean if self.complement.count else 1.0
 
     def _lower(self, level: int) -> float:
-        return self._reading.lower(Fraction(self._sequence.rejected(level), GRID))
+        return _lower(self._reading, self._sequence.rejected(level))
+
+
+@lru_cache(maxsize=GRID)
+def _lower(reading: RiskReading, rejected: int) -> float:
+    # Exact arithmetic takes longer than a bet, and few bets reject a candidate.
+    return reading.lower(Fraction(rejected, GRID))
+
+
+@lru_cache(maxsize=GRID)
+def _upper(reading: RiskReading, rejected: int) -> float:
+    return reading.upper(Fraction(GRID - rejected, GRID))
 
 
 class _PredictableScenario(_Scenario):
@@ -368,9 +407,9 @@ class _PredictableScenario(_Scenario):
         self._risks = [RiskSequence(risk_weight, reading.clip, delta=level) for level in levels]
         super().__init__(reading)
 
-    def _bet(self, value: float, x: float) -> None:  # noqa: ARG002
+    def _bet(self, values: Floats, x: Floats) -> None:  # noqa: ARG002
         for risk in self._risks:
-            risk.add(value)
+            risk.add_each(values)
 
     def _outlook(self) -> tuple[float, float]:
         """Return lower bound and estimate of the risk, unit of robustness."""

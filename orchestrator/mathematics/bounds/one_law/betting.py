@@ -24,39 +24,14 @@ x_i must have its mean given everything that entered before it. An upper bound i
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..rounding import RICHEST, ROUND_OFF
-
-Floats = NDArray[np.float64]
-
-GRID = 4096
-
-
-@dataclass(frozen=True, slots=True)
-class Strategy:
-    """A rule of betting: Kelly's bet to second order, for the mean that the past suggests.
-
-    `share` of the first wealth, `cap` on what may be lost at once, and `optimism`: the mean is taken that many standard
-    errors above the past one, so that a short unlucky past does not end the betting.
-
-    Raises:
-        ValueError: share is outside (0, 1], cap outside (0, 1), or optimism negative.
-
-    """
-
-    share: float
-    cap: float
-    optimism: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not (0 < self.share <= 1 and 0 < self.cap < 1 and 0 <= self.optimism < math.inf):
-            raise ValueError(f"a strategy needs share in (0, 1], cap in (0, 1), optimism >= 0; not {self}")
-
+from ...gp.kernels import Floats
+from ..rounding import ROUND_OFF
+from .many import are_within
+from .wealth import GRID, Moments, Strategy, Wealth
 
 BOLD_AND_CAREFUL = (Strategy(0.7, 0.95, 1.0), Strategy(0.3, 0.5))
 """For some hundred values far from 0 the largest bets are best, so most of the wealth bets boldly. Where values at 0
@@ -88,20 +63,31 @@ class Past:
         self._total += x
         self._squares += x * x
 
+    def before(self, values: Sequence[float]) -> Moments:
+        """Add values in [0, 1], and return the moments before each of them."""
+        found = []
+        for x in values:
+            found.append(self._moments())
+            self.add(x)
+        return np.array(found)
+
     @property
     def mean(self) -> float:
         """Mean, imaginary values included; 0 if there is none, so that nothing is bet."""
         return self._total / self._weight if self._weight else 0.0
 
     @property
-    def variance(self) -> float:
-        """Mean square deviation from `mean`."""
-        return max(self._squares / self._weight - self.mean**2, 0.0) if self._weight else 0.0
+    def now(self) -> Moments:
+        """The moments of all values, for one further value."""
+        return np.array([self._moments()])
 
-    @property
-    def standard_error(self) -> float:
-        """Estimated standard deviation of `mean`."""
-        return math.sqrt(self.variance / self._weight) if self._weight else 0.0
+    def _moments(self) -> tuple[float, float, float]:
+        """Return mean, mean square deviation from it, and the estimated standard deviation of the mean."""
+        if not self._weight:
+            return 0.0, 0.0, 0.0
+        mean = self._total / self._weight
+        variance = max(self._squares / self._weight - mean**2, 0.0)
+        return mean, variance, math.sqrt(variance / self._weight)
 
 
 class BettingSequence:
@@ -131,24 +117,21 @@ class BettingSequence:
             raise ValueError(f"every delta must be in (0, 1), at least one is needed; not {list(deltas)}")
         if not math.isclose(math.fsum(strategy.share for strategy in strategies), 1.0, abs_tol=1e-12):
             raise ValueError("the shares of the strategies must sum to 1")
-        self._levels = tuple((1.0 + ROUND_OFF) / delta for delta in deltas)
-        self._strategies = tuple(strategies)
-        self._wealth = np.repeat([[strategy.share] for strategy in strategies], GRID, axis=1)  # (strategies, G)
-        self._peak = np.ones(GRID)  # (G,) running maximum of W
-        self._rejected = [0] * len(deltas)
-        self._reach = 1  # candidates from here on have never been bet on
+        thresholds = [(1.0 + ROUND_OFF) / delta for delta in deltas]
+        self._bets = Wealth(_candidate_means(), strategies, thresholds)
+        self._bets.limit(_candidate_means())
 
     def rejected(self, level: int = 0) -> int:
         """Return the largest g such that candidates 1 .. g are rejected at `deltas[level]`."""
-        return self._rejected[level]
+        return self._bets.rejected[level]
 
     def lower(self, level: int = 0) -> float:
         """Return the lower bound of the mean at `deltas[level]`, a multiple of 1/G."""
-        return self._rejected[level] / GRID
+        return self._bets.rejected[level] / GRID
 
     def wealth(self) -> Floats:
         """Return W at the candidates g/G, g = 0 .. G-1; those rejected at every level are no longer updated."""
-        return np.asarray(np.add.reduce(self._wealth, axis=0))
+        return np.asarray(np.add.reduce(self._bets.wealth, axis=0))
 
     def observe(self, x: float, past: Past) -> None:
         """Add a value; `past` contains the values before it and not itself.
@@ -159,42 +142,20 @@ class BettingSequence:
         """
         if not 0.0 <= x <= 1.0:
             raise ValueError(f"a value must be in [0, 1], not {x!r}")
-        # A candidate that is rejected at every level remains so: no wealth is needed there.
-        start = 1 + min(self._rejected)
-        ends = [self._bet(j, strategy, start, x, past) for j, strategy in enumerate(self._strategies)]
-        if (end := max(ends)) > start:
-            self._settle(start, end)
+        self._bets.play(np.array([x]), past.now)
 
-    def _bet(self, j: int, strategy: Strategy, start: int, x: float, past: Past) -> int:
-        """Move the wealth of one strategy; the candidates that it bets on are start .. end - 1."""
-        variance, aim = past.variance, past.mean + strategy.optimism * past.standard_error
-        end = min(math.ceil(aim * GRID), GRID)  # candidates below the mean aimed at: elsewhere the bet is 0
-        if end > start:
-            m, largest = _candidate_means()[start:end], _largest_bets(strategy.cap)[start:end]
-            edge = aim - m
-            # The cap keeps every factor of the wealth at least 1 - cap > 0, even for x = 0.
-            bet = np.minimum(edge / (variance + edge * edge), largest)
-            wealth = self._wealth[j, start:end]
-            np.minimum(wealth * (1.0 + bet * (x - m)), RICHEST, out=wealth)
-        return end
+    def observe_each(self, x: Floats, past: Moments) -> None:
+        """Add values (k,) in their order; `past` has the moments of those before each of them.
 
-    def _settle(self, start: int, end: int) -> None:
-        peak = self._peak[start:end]
-        np.maximum(peak, np.add.reduce(self._wealth[:, start:end], axis=0), out=peak)
-        self._reach = max(self._reach, end)
-        for level, threshold in enumerate(self._levels):
-            g = self._rejected[level] + 1
-            # L needs *all* of 1 .. g rejected: count on from the last one to the first that is not.
-            accepted = self._peak[g : self._reach] < threshold
-            passed = int(accepted.argmax()) if accepted.any() else len(accepted)
-            self._rejected[level] = g + passed - 1
+        Raises:
+            ValueError: a value is outside [0, 1]; nothing changes.
+
+        """
+        if not are_within(x, 0.0, 1.0):
+            raise ValueError(f"a value must be in [0, 1], not {x.tolist()!r}")
+        self._bets.play(x, past)
 
 
 @lru_cache(maxsize=1)
 def _candidate_means() -> Floats:
     return np.arange(GRID) / GRID  # (G,)
-
-
-@lru_cache(maxsize=16)
-def _largest_bets(cap: float) -> Floats:
-    return np.concatenate(([0.0], cap / _candidate_means()[1:]))  # (G,); nothing is bet on candidate 0

@@ -9,7 +9,7 @@
 | t_j      | `_bar`     | in [low, high], from v_1 .. v_(j-1) alone                            | ()     | v    |
 | r        | `risk_weight` | weight of the standard deviation, r >= 0; 0 for the mean          | ()     | -    |
 | c_j, s_j | `_centre`, `_spread` | in [low, high], and positive; from v_1 .. v_(j-1) alone    | ()     | v    |
-| m        | `_candidates` | candidates; the null hypothesis is theta <= m                     | (G,)   | v    |
+| m        | `candidates` | candidates; the null  hypothesis is theta <= m                     | (G,)   | v    |
 | lambda_j |            | bet on x_j at m, at most cap/(m - least x_j)                         | (G,)   | 1/v  |
 | delta    | `delta`    | failure probability of a bound                                       | ()     | -    |
 
@@ -27,15 +27,17 @@ and no smoothness are needed.
 
 import math
 from abc import ABC, abstractmethod
-from bisect import insort
+from array import array
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from ...gp.kernels import Floats
-from ..rounding import RICHEST, ROUND_OFF, round_down
-from .betting import BOLD_AND_CAREFUL, GRID, Strategy
-from .risk import RiskReading, check_clip, linearised
+from ..rounding import ROUND_OFF, round_down
+from .betting import BOLD_AND_CAREFUL
+from .many import are_within, exact_sum, linearised_each, pieces, squares
+from .risk import RiskReading, check_clip
+from .wealth import GRID, Moments, Strategy, Wealth
 
 STRATEGIES = (Strategy(0.9, 0.95, 1.0), Strategy(0.1, 0.5))
 """For CVaR the largest bets are nearly always best: the least x, which caps them, is far below the others."""
@@ -48,7 +50,8 @@ LEAST_SPREAD = 1e-3
 class PredictableSequence(ABC):
     """Lower bound of theta, valid for all n at once; the running maximum.
 
-    `least` is a value that theta is never below. Work per value is O(G).
+    `least` is a value that theta is never below. Work per value is O(G), and only on candidates between the bound and
+    the mean aimed at; a value takes 8 bytes.
 
     Raises:
         ValueError: the range is empty or infinite, or delta is outside (0, 1).
@@ -59,19 +62,17 @@ class PredictableSequence(ABC):
         if not 0.0 < delta < 1.0:
             raise ValueError(f"delta must be in (0, 1), not {delta!r}")
         self._low, self._high = check_clip(clip)
-        self._least, self._threshold, self._strategies = least, (1.0 + ROUND_OFF) / delta, tuple(strategies)
-        self._candidates = least + (self._high - least) * (np.arange(GRID) / GRID)  # (G,)
-        self._wealth = np.repeat([[each.share] for each in strategies], GRID, axis=1)  # (S, G)
-        self._peak = np.ones(GRID)  # (G,)
-        self._rejected = 0
-        self._sorted: list[float] = []
-        self._renewal = 1.0
+        self._least = least
+        candidates = least + (self._high - least) * (np.arange(GRID) / GRID)  # (G,)
+        self._bets = Wealth(candidates, strategies, [(1.0 + ROUND_OFF) / delta])
+        self._sorted, self._fresh = np.empty(0), array("d")  # values up to the last renewal, and those since
+        self._renewal, self._reported = 1.0, (0, least)  # the bound, for the rejected candidates that it follows from
         self._weight = self._mean = self._squares = 0.0  # moments of x at the current parameters
 
     @property
     def count(self) -> int:
         """Number of values n."""
-        return len(self._sorted)
+        return len(self._sorted) + len(self._fresh)
 
     @property
     def estimate(self) -> float:
@@ -80,33 +81,41 @@ class PredictableSequence(ABC):
 
     def lower(self) -> float:
         """Return the bound, in the unit of v, rounded down to 1e-9; `least` while nothing is rejected."""
-        if not self._rejected:
-            return self._least
-        # The candidate as computed may be a rounding error above its definition.
-        found = round_down(float(self._candidates[self._rejected]) - 1e-12 * (self._high - self._least))
-        return max(found, self._least)
+        rejected = self._bets.rejected[0]
+        if rejected > self._reported[0]:
+            # The candidate as computed may be a rounding error above its definition.
+            found = round_down(float(self._bets.candidates[rejected]) - 1e-12 * (self._high - self._least))
+            self._reported = rejected, max(found, self._least)
+        return self._reported[1]
 
     def add(self, value: float) -> None:
-        """Add the next value.
+        """Add the next value; raises as `add_each`."""
+        self.add_each(np.array([value], dtype=np.float64))
+
+    def add_each(self, values: Floats) -> None:
+        """Add the next values (k,) in their order.
 
         Raises:
-            ValueError: the value is outside the range.
+            ValueError: one is outside the range; nothing changes.
 
         """
-        if not self._low <= value <= self._high:
-            raise ValueError(f"a value must be in [{self._low}, {self._high}], not {value!r}")
-        x = self._read(value)
-        self._bet(x)
-        insort(self._sorted, value)
-        if self.count >= self._renewal:
-            self._renewal = RENEWAL * self.count
-            self._renew()
-        else:
-            self._take(x)
+        if not are_within(values, self._low, self._high):
+            wrong = values[~((values >= self._low) & (values <= self._high))]
+            raise ValueError(f"a value must be in [{self._low}, {self._high}], not {float(wrong[0])!r}")
+        while len(values):
+            # Up to the renewal the parameters are the same.
+            ahead = values[: max(math.ceil(self._renewal) - self.count, 1)]
+            x = self._read(ahead)
+            self._bets.play(x, self._before(x))
+            self._fresh.frombytes(ahead.tobytes())
+            if self.count >= self._renewal:
+                self._renewal = RENEWAL * self.count
+                self._begin_anew()
+            values = values[len(ahead) :]
 
     @abstractmethod
-    def _read(self, value: float) -> float:
-        """Return x of a value at the current parameters."""
+    def _read(self, values: Floats) -> Floats:
+        """Return x of values (k,) at the current parameters."""
 
     @abstractmethod
     def _least_x(self) -> float:
@@ -116,33 +125,41 @@ class PredictableSequence(ABC):
     def _renew(self) -> None:
         """Choose the parameters for the next values, and compute the moments of x of all values at them."""
 
-    def _take(self, x: float) -> None:
-        """Add x to the moments [Welford's update]."""
-        self._weight += 1.0
-        shift = x - self._mean
-        self._mean += shift / self._weight
-        self._squares += shift * (x - self._mean)
+    def _begin_anew(self) -> None:
+        # A stable sort finds the long sorted part and merges the new values, with equal ones in their order.
+        self._sorted = np.sort(np.concatenate([self._sorted, self._fresh]), kind="stable")
+        self._fresh = array("d")
+        self._renew()
+        # Every factor of the wealth stays at least 1 - cap > 0, also for the least x that these parameters allow.
+        self._bets.limit(np.maximum(self._bets.candidates - self._least_x(), 1e-9 * (self._high - self._low)))
 
-    def _bet(self, x: float) -> None:
-        """Move the wealth of the candidates that are not rejected; the bets are functions of the past."""
-        start = self._rejected + 1
-        m = self._candidates[start:]
-        variance = self._squares / self._weight if self._weight else 0.0
-        error = math.sqrt(variance / self._weight) if self._weight else 0.0
-        # Every factor stays at least 1 - cap > 0, also for the least x that these parameters allow.
-        room = np.maximum(m - self._least_x(), 1e-9 * (self._high - self._low))
-        for s, strategy in enumerate(self._strategies):
-            edge = np.maximum(self._mean + strategy.optimism * error - m, 0.0) if self._weight else np.zeros_like(m)
-            bets = _kelly(edge, variance, strategy.cap / room)
-            wealth = self._wealth[s, start:]
-            np.minimum(wealth * (1.0 + bets * (x - m)), RICHEST, out=wealth)
-        peak = self._peak[start:]
-        np.maximum(peak, np.add.reduce(self._wealth[:, start:], axis=0), out=peak)
-        accepted = peak < self._threshold
-        self._rejected += int(accepted.argmax()) if accepted.any() else len(accepted)
+    def _before(self, x: Floats) -> Moments:
+        """Add x (k,) to the moments, and return those before each of them."""
+        if not self._weight:  # the first value: nothing is aimed at
+            self._take(x.tolist())
+            return np.array([[-math.inf, 0.0, 0.0]])
+        weights = self._weight + np.arange(len(x))
+        seen: list[tuple[float, float, float]] = []
+        self._take(x.tolist(), seen)
+        found = np.array(seen)
+        found[:, 1] /= weights
+        found[:, 2] = np.sqrt(found[:, 1] / weights)
+        return found
+
+    def _take(self, x: Sequence[float], before: list[tuple[float, float, float]] | None = None) -> None:
+        """Add x to the moments [Welford's update], and note mean and sum of squares before each of them."""
+        weight, mean, squared = self._weight, self._mean, self._squares
+        for each in x:
+            if before is not None:
+                before.append((mean, squared, 0.0))
+            weight += 1.0
+            shift = each - mean
+            mean += shift / weight
+            squared += shift * (each - mean)
+        self._weight, self._mean, self._squares = weight, mean, squared
 
 
-def sample_quantile(values: Sequence[float], share: float, low: float, delta: float) -> int:  # noqa: ARG001
+def sample_quantile(values: Sequence[float] | Floats, share: float, low: float, delta: float) -> int:  # noqa: ARG001
     """Return the index of the sample quantile in the sorted values: the t of the sample's own CVaR.
 
     >>> sample_quantile([0.1, 0.2, 0.4, 0.8], 0.5, 0.0, 0.05)
@@ -152,7 +169,7 @@ def sample_quantile(values: Sequence[float], share: float, low: float, delta: fl
     return max(math.ceil(share * len(values)) - 1, 0)
 
 
-def best_expected(values: Sequence[float], share: float, low: float, delta: float) -> int:
+def best_expected(values: Sequence[float] | Floats, share: float, low: float, delta: float) -> int:
     """Return the index in the sorted values of the t for which the bound after as many values again is expected best.
 
     A constant bet lambda finds, to second order, the mean of x less ln(1/delta)/(n lambda) + lambda var(x)/2; lambda is
@@ -177,7 +194,7 @@ def best_expected(values: Sequence[float], share: float, low: float, delta: floa
     return int(np.argmax(t - first / share - cost / bet - bet * variance / 2.0))
 
 
-Choice = Callable[[Sequence[float], float, float, float], int]
+Choice = Callable[[Floats, float, float, float], int]
 """From the sorted values, q, low and delta to the index of the next t in them."""
 
 
@@ -209,8 +226,8 @@ class CvarSequence(PredictableSequence):
         super().__init__(clip[0], clip, delta, STRATEGIES)
         self._share, self._bar, self._choice, self._delta = share, clip[0], choice, delta
 
-    def _read(self, value: float) -> float:
-        return self._bar - max(self._bar - value, 0.0) / self._share
+    def _read(self, values: Floats) -> Floats:
+        return self._bar - np.maximum(self._bar - values, 0.0) / self._share
 
     def _least_x(self) -> float:
         return self._bar - (self._bar - self._low) / self._share
@@ -219,12 +236,12 @@ class CvarSequence(PredictableSequence):
         """Move t to one of the values, and compute the moments of x at it."""
         if self._share < 1.0:
             worst = self._choice(self._sorted, self._share, self._low, self._delta)
-            self._bar = self._sorted[worst]
+            self._bar = float(self._sorted[worst])
         else:
             worst, self._bar = self.count, self._high
         self._weight = self._mean = self._squares = 0.0
-        for value in self._sorted[:worst]:
-            self._take(self._read(value))
+        for piece in pieces(self._sorted[:worst]):
+            self._take(self._read(piece).tolist())
         # All others have x = t: they enter the moments together.
         above, shift = self.count - worst, self._bar - self._mean
         self._squares += shift * shift * worst * above / self.count
@@ -257,26 +274,21 @@ class RiskSequence(PredictableSequence):
         self._risk_weight, self._cost = risk_weight, math.log(1.0 / delta)
         self._centre, self._spread = 0.5 * (clip[0] + clip[1]), 0.5 * (clip[1] - clip[0])
 
-    def _read(self, value: float) -> float:
-        return linearised(value, self._risk_weight, self._centre, self._spread)
+    def _read(self, values: Floats) -> Floats:
+        return linearised_each(values, squares(values - self._centre), self._risk_weight, self._spread)
 
     def _least_x(self) -> float:
-        return min(self._read(self._low), self._read(self._high))
+        return float(self._read(np.array([self._low, self._high])).min())
 
     def _renew(self) -> None:
         """Move c and s to the moments of the values."""
         n, values = self.count, self._sorted
-        self._centre = min(max(math.fsum(values) / n, self._low), self._high)
-        variance = math.fsum((value - self._centre) ** 2 for value in values) / n
+        self._centre = min(max(exact_sum(values) / n, self._low), self._high)
+        squared = squares(values - self._centre)
+        variance = exact_sum(squared) / n
         farther = max(self._centre - self._low, self._high - self._centre)
         spread = math.sqrt(variance + farther**2 * self._cost / n)
         self._spread = max(spread, LEAST_SPREAD * (self._high - self._low))
-        x = [self._read(value) for value in values]
-        self._weight, self._mean = float(n), math.fsum(x) / n
-        self._squares = math.fsum((each - self._mean) ** 2 for each in x)
-
-
-def _kelly(edge: Floats, variance: float, largest: Floats) -> Floats:
-    """Return the bet that is best to second order for a mean `edge` above the candidate, capped."""
-    spread = variance + edge * edge
-    return np.minimum(np.divide(edge, spread, out=np.zeros_like(edge), where=spread > 0), largest)
+        x = linearised_each(values, squared, self._risk_weight, self._spread)
+        self._weight, self._mean = float(n), exact_sum(x) / n
+        self._squares = exact_sum(squares(x - self._mean))

@@ -8,7 +8,7 @@
 | c, s     | `c`, `s`      | about the mean and the sd of rho; s > 0      | ()    | unit of robustness |
 | X        | `linearised`  | E[X] is not above the risk                   | ()    | unit of robustness |
 | phi      | `bhatia_davis` | phi(E rho) is not above the risk            | ()    | unit of robustness |
-| x        | `unit`        | X, or rho for phi, moved and scaled to [0, 1] | ()   | -                  |
+| x        |               | X, or rho for phi, moved and scaled to [0, 1] | ()   | -                  |
 """
 
 import math
@@ -163,12 +163,6 @@ class RiskReading:
         # 1e-12 is far more than phi can lose to rounding; a mean loses nothing.
         lowest = bhatia_davis(self.clip[0], self.clip, self.risk_weight) - 1e-12 if self.risk_weight else self.clip[0]
         object.__setattr__(self, "least", math.floor(Fraction(lowest) * STEP) / STEP)
-
-    def unit(self, value: float) -> float:
-        """Return x of one robustness within the clip, in [0, 1]."""
-        low, high = self.ends
-        moved = value if self.constants is None else linearised(value, self.risk_weight, *self.constants)
-        return min(max((moved - low) / (high - low), 0.0), 1.0)  # leaves [0, 1] by rounding at most
 
     def lower(self, mean: Fraction) -> float:
         """Return the lower bound of the risk for a lower bound of the mean of x, rounded down to 1e-9."""

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -9,20 +10,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from perfbound.orchestrator.mathematics.bounds.method import Integers
 from perfbound.orchestrator.mathematics.bounds.one_law.betting import (
     BOLD_AND_CAREFUL,
     CAREFUL,
-    GRID,
     BettingSequence,
     Past,
-    Strategy,
 )
 from perfbound.orchestrator.mathematics.bounds.one_law.predictable import RiskSequence
 from perfbound.orchestrator.mathematics.bounds.one_law.risk import bhatia_davis, linearised, linearised_range
+from perfbound.orchestrator.mathematics.bounds.one_law.wealth import GRID, Strategy
 from perfbound.orchestrator.mathematics.bounds.rounding import ROUND_OFF
 from perfbound.orchestrator.mathematics.bounds.scenario import MAX_SCENARIOS, ScenarioMethod, _ConstantScenario
+from perfbound.orchestrator.mathematics.gp.kernels import Floats
 from perfbound.orchestrator.mathematics.gp.points import Points
+from perfbound.schemas.values import Bound
 from tests.fakes.observations import an_observation
+from tests.fakes.states import blocks, sizes, state_of
 
 CLIP = (-0.05, 0.75)
 units = st.one_of(st.sampled_from([0.0, 0.25, 0.5, 1.0]), st.floats(0, 1))
@@ -325,7 +329,7 @@ class TestScenarioMethod:
         assert one.bound() == other.bound()
         for a, b in zip(sequences(one), sequences(other), strict=True):
             assert a.wealth().tobytes() == b.wealth().tobytes()
-            assert a._peak.tobytes() == b._peak.tobytes()
+            assert a._bets.peak.tobytes() == b._bets.peak.tobytes()
         assert one.propose() == other.propose()
 
     @given(tests=batches, r=st.floats(0, 2))
@@ -468,3 +472,73 @@ class TestScenarioMethod:
     def test_bad_scenarios_are_refused(self, scenarios: Any) -> None:
         with pytest.raises(ValueError, match=r"points?|scenarios"):
             ScenarioMethod(Points(scenarios), clip=CLIP, risk_weight=0.2, delta=0.05, alpha=0.1, constants=(0.7, 0.09))
+
+
+MADE = {"linearised": method, "predictable": predictable, "bhatia-davis": bhatia, "mean": of_mean}
+OF_TWO = st.lists(st.tuples(st.integers(0, 2), st.floats(*CLIP), st.floats(*CLIP)), min_size=1, max_size=30)
+
+
+def facts(running: ScenarioMethod, bound: Bound) -> object:
+    return bound, running.bound(), running.propose(), running.acquisition((0, 2)).tolist(), state_of(running)
+
+
+class TestManyAtOnce:
+    """Everything is to the bit as after one test after the other."""
+
+    @staticmethod
+    def check(make: Any, nodes: Integers, each: Floats, cuts: Iterable[int]) -> None:
+        one, many, told = make(), make(), make()
+        for part in blocks(len(nodes), cuts):
+            tests = [an_observation(*test) for test in zip(nodes[part].tolist(), each[part].tolist(), strict=True)]
+            for test in tests:
+                bound = one.observe(*test)
+            found = many.observe_each(nodes[part], -each[part].mean(axis=1), each[part])
+            assert facts(one, bound) == facts(many, found) == facts(told, told.bound_after(tests))
+
+    @pytest.mark.parametrize("risk", MADE)
+    @given(tests=OF_TWO, cuts=st.lists(st.integers(1, 12), max_size=5))
+    @settings(max_examples=15, deadline=None)
+    def test_any_values_in_any_blocks(self, risk: str, tests: Any, cuts: list[int]) -> None:
+        self.check(MADE[risk], np.array([node for node, *_ in tests]), np.array([pair for _, *pair in tests]), cuts)
+
+    @pytest.mark.parametrize("width", [1, 7])
+    @pytest.mark.parametrize("risk", MADE)
+    def test_some_hundred_tests(self, risk: str, width: int) -> None:
+        rng = np.random.default_rng(width)
+        nodes = rng.integers(0, 3, 400 // width)
+        each = np.clip(rng.normal(0.55 + nodes[:, None] / 20, 0.1, (len(nodes), width)), *CLIP)
+        self.check(MADE[risk], nodes, each, sizes(len(nodes), width))
+
+    def test_more_tests_than_are_taken_at_a_time(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        nodes, each = np.arange(50) % 3, np.random.default_rng(9).uniform(*CLIP, (50, 2))
+        whole = method()
+        whole.recall_each(nodes, each[:, 0], each)
+        monkeypatch.setattr("perfbound.orchestrator.mathematics.bounds.scenario.PIECE", 7)
+        other = method()
+        other.recall_each(nodes, each[:, 0], each)
+        assert state_of(whole) == state_of(other)
+
+    def test_tests_of_several_widths_are_recalled(self) -> None:
+        tests = [an_observation(0, [0.5]), an_observation(1, [0.6, 0.7]), an_observation(0, [0.4, 0.3])]
+        one, other = method(), method()
+        for test in tests:
+            one.observe(*test)
+        other.recall(tests)
+        assert state_of(one) == state_of(other)
+
+    @pytest.mark.parametrize("risk", MADE)
+    @pytest.mark.parametrize(
+        ("node", "value", "error"),
+        [(1, 0.76, ValueError), (1, math.nan, ValueError), (3, 0.5, IndexError), (-1, 0.5, IndexError)],
+    )
+    def test_an_error_changes_nothing(self, risk: str, node: int, value: float, error: type[Exception]) -> None:
+        running = MADE[risk]()
+        running.observe(*an_observation(0, [0.5, 0.5]))
+        before = state_of(running)
+        for call in (running.observe_each, running.recall_each):
+            with pytest.raises(error, match=r"clip|outside"):
+                call(np.array([0, node, 2]), np.zeros(3), np.array([[0.5, 0.5], [0.5, value], [0.5, 0.5]]))
+        with pytest.raises(ValueError, match="clip"):
+            running.recall_each(np.array([0]), np.zeros(1), np.empty((1, 0)))
+        running.recall_each(np.array([], dtype=np.int64), np.zeros(0), np.empty((0, 2)))
+        assert state_of(running) == before

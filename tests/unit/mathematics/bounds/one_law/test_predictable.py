@@ -17,6 +17,7 @@ from perfbound.orchestrator.mathematics.bounds.one_law.predictable import (
     best_expected,
     sample_quantile,
 )
+from tests.fakes.states import blocks, sizes, state_of
 
 
 def risk_of(values: list[float], risk_weight: float = 0.5, delta: float = 0.05) -> RiskSequence:
@@ -56,8 +57,8 @@ class TestCvar:
         total = np.zeros(4096)
         for path in itertools.product((0, 1), repeat=8):
             bound = of([0.2 if bad else 1.0 for bad in path], delta=1e-299, choice=choice)
-            assert (bound._wealth > 0).all()
-            total += p ** sum(path) * (1 - p) ** (8 - sum(path)) * bound._wealth.sum(axis=0)
+            assert (bound._bets.wealth > 0).all()
+            total += p ** sum(path) * (1 - p) ** (8 - sum(path)) * bound._bets.wealth.sum(axis=0)
         assert (total[math.ceil(0.2 * 4096) :] <= 1 + 1e-12).all()
 
     @given(st.lists(st.floats(0, 1), max_size=40))
@@ -77,7 +78,7 @@ class TestCvar:
 
     @staticmethod
     def check_moments(bound: PredictableSequence, values: list[float]) -> None:
-        x = [bound._read(value) for value in values]
+        x = bound._read(np.array(values))
         assert bound._weight == len(values)
         assert bound._mean == pytest.approx(np.mean(x), abs=1e-9)
         assert bound._squares == pytest.approx(np.var(x) * len(x), abs=1e-9)
@@ -125,6 +126,21 @@ class TestChoice:
         values = [0.6 + 0.001 * (j * 37 % 100) for j in range(400)]
         assert of(values, 0.1, choice=sample_quantile).lower() == 0.55493164
 
+    @pytest.mark.parametrize(
+        ("bound", "lower", "mean", "squares"),
+        [
+            (CvarSequence(0.1, (0.0, 1.0), delta=0.05), 0.584472656, "0x1.35810624dd2f0p-1", "0x1.0f1a9fbe76cb8p-2"),
+            (CvarSequence(1.0, (0.0, 1.0), delta=0.05), 0.646728515, "0x1.4c8b43958105ep-1", "0x1.aa9fbe76c8b89p-1"),
+            (RiskSequence(0.2, (0.0, 1.0), delta=0.05), 0.636080253, "0x1.4943a861ea3fcp-1", "0x1.abe85974fe3efp-1"),
+        ],
+    )
+    def test_the_numbers_are_those_of_python_one_by_one(
+        self, bound: PredictableSequence, lower: float, mean: str, squares: str
+    ) -> None:
+        """Recorded before values were taken together: certificates of that time are verified with these numbers."""
+        bound.add_each(np.array([0.6 + 0.001 * (j * 37 % 100) for j in range(1000)]))
+        assert (bound.lower(), bound._mean.hex(), bound._squares.hex()) == (lower, mean, squares)
+
     def test_the_whole_share_is_the_mean(self) -> None:
         values = np.random.default_rng(1).beta(5, 2, 400).tolist()
         assert of(values, 1.0).lower() == pytest.approx(risk_of(values, 0.0).lower(), abs=0.01)
@@ -145,10 +161,10 @@ class TestRisk:
                 wrong = wrong or bound.lower() > risk
             failure += chance * wrong
             free = risk_of([0.2 if bad else 0.9 for bad in path], risk_weight, delta=1e-299)
-            assert (free._wealth > 0).all()
-            total += chance * free._wealth.sum(axis=0)
+            assert (free._bets.wealth > 0).all()
+            total += chance * free._bets.wealth.sum(axis=0)
         assert failure <= 0.3
-        assert (total[free._candidates >= risk] <= 1 + 1e-12).all()
+        assert (total[free._bets.candidates >= risk] <= 1 + 1e-12).all()
 
     @given(st.lists(st.floats(0, 1), max_size=40), st.sampled_from([0.0, 0.2, 1.0]))
     @settings(max_examples=30, deadline=None)
@@ -158,7 +174,7 @@ class TestRisk:
         for value in values:
             bound.add(value)
             assert last <= bound.lower() <= 1.0
-            assert (bound._wealth > 0).all()
+            assert (bound._bets.wealth > 0).all()
             last = bound.lower()
 
     def test_the_least_value_is_the_least_risk_of_a_law_on_the_clip(self) -> None:
@@ -190,3 +206,67 @@ class TestRisk:
     def test_bad_input(self, call: Callable[[], object]) -> None:
         with pytest.raises(ValueError, match=r"must|clip"):
             call()
+
+
+MAKES: dict[str, Callable[[], PredictableSequence]] = {
+    "CVaR": lambda: CvarSequence(0.1, (0.0, 1.0), delta=0.05),
+    "CVaR at the sample quantile": lambda: CvarSequence(0.5, (0.0, 1.0), delta=0.2, choice=sample_quantile),
+    "mean": lambda: CvarSequence(1.0, (0.0, 1.0), delta=0.05),
+    "risk": lambda: RiskSequence(0.2, (0.0, 1.0), delta=0.05),
+    "large risk": lambda: RiskSequence(2.0, (0.0, 1.0), delta=1e-9),
+    "never rejected": lambda: RiskSequence(0.0, (0.0, 1.0), delta=1e-299),
+}
+MANY: dict[str, Callable[[np.random.Generator], np.ndarray[tuple[int], np.dtype[np.float64]]]] = {
+    "a density": lambda rng: rng.beta(5, 2, 2_000),
+    "two points": lambda rng: rng.choice([0.0, 1.0], 2_000, p=[0.05, 0.95]),
+    "a constant": lambda rng: np.full(2_000, 0.3),
+    "a drift": lambda rng: np.linspace(0.1, 0.9, 2_000) + rng.uniform(0, 0.1, 2_000),
+    "tiny values": lambda rng: rng.choice([0.0, -0.0, 5e-324, 1e-310, 1e-160], 2_000),
+}
+
+
+class TestManyAtOnce:
+    """The state is to the bit that of one value after the other."""
+
+    @pytest.mark.parametrize("name", MAKES)
+    @given(
+        st.lists(st.one_of(st.floats(0, 1), st.sampled_from([0.0, 0.5, 1.0])), min_size=1, max_size=80),
+        st.lists(st.integers(1, 40), max_size=8),
+    )
+    @settings(max_examples=20, deadline=None)
+    def test_any_values_in_any_blocks(self, name: str, values: list[float], cuts: list[int]) -> None:
+        one, other = MAKES[name](), MAKES[name]()
+        for value in values:
+            one.add(value)
+        for part in blocks(len(values), cuts):
+            other.add_each(np.array(values)[part])
+        assert state_of(one) == state_of(other)
+        assert (one.lower(), one.estimate, one.count) == (other.lower(), other.estimate, len(values))
+
+    @pytest.mark.parametrize("law", MANY)
+    @pytest.mark.parametrize("name", MAKES)
+    def test_some_thousand_values(self, name: str, law: str) -> None:
+        values = MANY[law](np.random.default_rng(6))
+        one, other, whole = MAKES[name](), MAKES[name](), MAKES[name]()
+        for value in values.tolist():
+            one.add(value)
+        for part in blocks(len(values), sizes(len(values), 6)):
+            other.add_each(values[part])
+        whole.add_each(values)
+        assert state_of(one) == state_of(other) == state_of(whole)
+
+    @pytest.mark.parametrize("bad", [-0.1, 1.1, math.nan, math.inf])
+    def test_an_error_changes_nothing(self, bad: float) -> None:
+        for make in MAKES.values():
+            bound = make()
+            bound.add_each(np.linspace(0.2, 0.4, 30))
+            before = state_of(bound)
+            with pytest.raises(ValueError, match="must be in"):
+                bound.add_each(np.array([0.5, bad, 0.5]))
+            assert state_of(bound) == before
+
+    def test_a_value_takes_eight_bytes(self) -> None:
+        for make in MAKES.values():
+            bound = make()
+            bound.add_each(np.random.default_rng(7).uniform(0, 1, 3_000))
+            assert bound._sorted.nbytes + bound._fresh.itemsize * len(bound._fresh) == 8 * 3_000
