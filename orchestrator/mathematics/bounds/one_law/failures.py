@@ -32,20 +32,31 @@ u near 0 is best, and a smaller one with failures.
 """
 
 import math
-from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
 from itertools import pairwise
+from typing import Literal
 
+import numpy as np
 import scipy
+from numpy.typing import NDArray
 
+from ...gp.kernels import Floats
 from ..rounding import ROUND_OFF, STEP
+from .crossings import Counts, Integers, Side
 from .share import check_counts
+
+Marks = NDArray[np.bool_]
 
 SHAPE = 0.5
 """Exponent a of the law of u."""
+GROWTH = 32
+"""Of the steps in which a bound is sought."""
+PIECE = 2**12
+"""Values of a quantile that are looked at together, anew after each rejection."""
 
 
-def log_wealth_above(p: float, failures: int, count: int) -> float:
+def log_wealth_above(p: float, failures: float, count: int) -> float:
     """Return ln W of the bets against P >= p, the first formula at the head of this module; 0 < p < 1.
 
     >>> round(log_wealth_above(0.01, 0, 299), 3)
@@ -56,7 +67,7 @@ def log_wealth_above(p: float, failures: int, count: int) -> float:
     return _log_scaled(p, a, b, float(scipy.special.betainc(a, b, p)))
 
 
-def log_wealth_below(p: float, failures: int, count: int) -> float:
+def log_wealth_below(p: float, failures: float, count: int) -> float:
     """Return ln W of the bets against P <= p, the second formula at the head of this module; 0 < p < 1.
 
     Without a failure W is below 1, and -inf stands for it.
@@ -122,7 +133,7 @@ class FailureSequence:
     Implements eq. (failure probability) of [PB].
 
     Formula: the least `beta_mixture_upper` and the largest `beta_mixture_lower` so far, each with its own 1 - delta.
-    Assumptions as there.
+    Assumptions as there. Of a sequence for one bound `only`, the other one follows from the last n alone.
 
     Raises:
         ValueError: delta is outside (0, 1).
@@ -135,31 +146,59 @@ class FailureSequence:
 
     """
 
-    def __init__(self, *, delta: float) -> None:
+    def __init__(self, *, delta: float, only: Literal["upper", "lower"] | None = None) -> None:
         check_counts(0, 1, delta)
-        self._delta = delta
+        self._delta, self._only = delta, only
         self.count = self.failures = 0
         self._last = False
         self._above, self._below = STEP, 0  # P >= above/STEP and P <= below/STEP are rejected
 
     def upper(self) -> float:
         """Return the upper bound, rounded up to 1e-9; 1 while nothing is rejected."""
-        return _least_rejected(self.failures, self.count, self._delta, self._above) / STEP
+        return self._lowered(self.failures, self.count, self._above) / STEP
 
     def lower(self) -> float:
         """Return the lower bound, rounded down to 1e-9; 0 while nothing is rejected."""
-        return _largest_rejected(self.failures, self.count, self._delta, self._below) / STEP
+        return self._raised(self.failures, self.count, self._below) / STEP
 
     def add(self, failed: bool) -> None:
         """Add the next sample."""
         # Successes raise W against P >= p alone, and failures W against P <= p: only the last of a series counts.
-        if failed and not self._last:
-            self._above = _least_rejected(self.failures, self.count, self._delta, self._above)
-        elif self._last and not failed:
-            self._below = _largest_rejected(self.failures, self.count, self._delta, self._below)
+        if failed and not self._last and self._only != "lower":
+            self._above = self._lowered(self.failures, self.count, self._above)
+        elif self._last and not failed and self._only != "upper":
+            self._below = self._raised(self.failures, self.count, self._below)
         self._last = failed
         self.count += 1
         self.failures += failed
+
+    def add_each(self, failed: Marks) -> None:
+        """Add the next samples (k,) in their order."""
+        if len(failed) == 1:
+            self.add(bool(failed[0]))  # in a tenth of the time
+            return
+        # As in `add` the bounds change where a series ends; series of failures and of successes take turns.
+        ends, last = np.flatnonzero(failed[1:] != failed[:-1]) + 1, int(self._last)
+        if failed[0] != self._last:
+            ends = np.concatenate(([0], ends))
+        series = ends.copy()
+        series[1:] -= ends[:-1]
+        series[last::2] = 0  # successes
+        before = Counts(self.failures + np.cumsum(series), self.count + ends)
+        threshold = _threshold(self._delta)
+        if self._only != "lower":
+            self._above = _ABOVE.best(self._above, before[last::2], threshold, self._lowered)
+        if self._only != "upper":
+            self._below = _BELOW.best(self._below, before[1 - last :: 2], threshold, self._raised)
+        self._last = bool(failed[-1])
+        self.count += len(failed)
+        self.failures += int(np.count_nonzero(failed))
+
+    def _lowered(self, failures: int, count: int, most: int) -> int:
+        return _least_rejected(failures, count, self._delta, most)
+
+    def _raised(self, failures: int, count: int, least: int) -> int:
+        return _largest_rejected(failures, count, self._delta, least)
 
 
 class QuantileSequence:
@@ -189,7 +228,8 @@ class QuantileSequence:
         if not grid or not all(map(math.isfinite, grid)) or any(a >= b for a, b in pairwise(grid)):
             raise ValueError("the grid must have finite values that rise, at least one")
         self._share, self._grid, self._threshold = share, tuple(grid), _threshold(delta)
-        self._cells = [0] * (len(grid) + 1)  # values from t_i on and below t_(i+1)
+        self._limits = np.array(grid)
+        self._cells = np.zeros(len(grid) + 1, dtype=np.int64)  # values from t_i on and below t_(i+1)
         self.count = self._rejected = self._failures = 0  # failures: values below the least t_i that is not rejected
 
     def lower(self) -> float | None:
@@ -209,13 +249,49 @@ class QuantileSequence:
         self._cells[cell] += 1
         self.count += 1
         self._failures += cell <= self._rejected
+        self._advance()
+
+    def add_each(self, values: Floats) -> None:
+        """Add the next values (k,) in their order.
+
+        Raises:
+            ValueError: a value is not a number; nothing changes.
+
+        """
+        if np.isnan(values).any():
+            raise ValueError(f"a value must be a number, not {values.tolist()!r}")
+        cells = np.searchsorted(self._limits, values, side="right")
+        for first in range(0, len(cells), PIECE):
+            self._add_cells(cells[first : first + PIECE])
+
+    def _add_cells(self, cells: Integers) -> None:
+        while len(cells) and self._rejected < len(self._grid):
+            k = self._failures + np.cumsum(cells <= self._rejected)
+            n = self.count + np.arange(1, len(cells) + 1)
+            place = _ABOVE.first(self._share, Counts(k, n), self._threshold)
+            if place is None:
+                break
+            self._enter(cells[: place + 1])
+            self._advance()
+            cells = cells[place + 1 :]
+        self._enter(cells)
+
+    def _enter(self, cells: Integers) -> None:
+        self._cells += np.bincount(cells, minlength=len(self._cells))
+        self.count += len(cells)
+        self._failures += int(np.count_nonzero(cells <= self._rejected))
+
+    def _advance(self) -> None:
         # More values are below t_i the larger i is: the least one that is left is rejected first.
         while self._rejected < len(self._grid) and self._rejects():
             self._rejected += 1
-            self._failures += self._cells[self._rejected]
+            self._failures += int(self._cells[self._rejected])
 
     def _rejects(self) -> bool:
         return log_wealth_above(self._share, self._failures, self.count) >= self._threshold
+
+
+_ABOVE, _BELOW = Side(log_wealth_above, falls=True), Side(log_wealth_below, falls=False)
 
 
 def _threshold(delta: float) -> float:
@@ -225,24 +301,37 @@ def _threshold(delta: float) -> float:
 
 def _least_rejected(failures: int, count: int, delta: float, most: int) -> int:
     """Return the least g below `most` such that P >= g/STEP is rejected; `most` without one."""
-
-    def rejects(g: int) -> bool:
-        return log_wealth_above(g / STEP, failures, count) >= threshold
-
-    threshold, width = _threshold(delta), 1
-    # In steps that double: from sample to sample the bound moves little.
-    while most - width > 0 and rejects(most - width):
-        width *= 2
-    return bisect_left(range(STEP), True, max(most - width + 1, 1), most - width // 2, key=rejects)
+    threshold = _threshold(delta)
+    return most - _passed(lambda g: log_wealth_above((most - g) / STEP, failures, count) - threshold, most - 1)
 
 
 def _largest_rejected(failures: int, count: int, delta: float, least: int) -> int:
     """Return the largest g above `least` such that P <= g/STEP is rejected; `least` without one."""
+    threshold = _threshold(delta)
+    return least + _passed(
+        lambda g: log_wealth_below((least + g) / STEP, failures, count) - threshold, STEP - 1 - least
+    )
 
-    def accepts(g: int) -> bool:
-        return log_wealth_below(g / STEP, failures, count) < threshold
 
-    threshold, width = _threshold(delta), 1
-    while least + width < STEP and not accepts(least + width):
-        width *= 2
-    return bisect_left(range(STEP), True, least + width // 2 + 1, min(least + width, STEP), key=accepts) - 1
+def _passed(excess: Callable[[int], float], room: int) -> int:
+    """Return the largest g in 1 .. `room` whose excess is not negative, where it falls; 0 without one."""
+    low, high, step = 0, room + 1, 1
+    above = below = -math.inf  # excess at low and at high
+    # In steps that grow: from sample to sample the bound moves little.
+    while step < high:
+        if (found := excess(step)) < 0.0:
+            high, below = step, found
+        else:
+            low, above, step = step, found, GROWTH * step
+    side = 0
+    while high - low > 1 and low:
+        # Regula falsi; an end that stays counts half [Illinois], and one without a finite excess asks for the middle.
+        share = above / (above - below) if math.isfinite(below) else 0.5
+        middle = min(max(low + round(share * (high - low)), low + 1), high - 1)
+        if (found := excess(middle)) < 0.0:
+            above = above / 2.0 if side < 0 else above
+            high, below, side = middle, found, -1
+        else:
+            below = below / 2.0 if side > 0 else below
+            low, above, side = middle, found, 1
+    return low

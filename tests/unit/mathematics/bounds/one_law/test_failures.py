@@ -20,6 +20,7 @@ from perfbound.orchestrator.mathematics.bounds.one_law.failures import (
     log_wealth_below,
 )
 from perfbound.orchestrator.mathematics.bounds.one_law.share import clopper_pearson_lower, clopper_pearson_upper
+from tests.fakes.states import blocks, sizes, state_of
 
 STEP = Fraction(1, 10**9)
 
@@ -153,6 +154,49 @@ class TestFailureSequence:
         assert too_low <= 0.3
         assert too_high <= 0.3
 
+    @given(
+        st.lists(st.tuples(st.booleans(), st.integers(1, 40)), min_size=1, max_size=12),
+        st.lists(st.integers(1, 60), max_size=8),
+        st.sampled_from([0.05, 0.4, 1e-9]),
+    )
+    @settings(max_examples=60, deadline=None)
+    def test_many_samples_at_once_leave_the_state_of_one_after_the_other(
+        self, series: list[tuple[bool, int]], cuts: list[int], delta: float
+    ) -> None:
+        record = np.repeat([failed for failed, _ in series], [length for _, length in series])
+        for only in (None, "upper", "lower"):
+            one, other = (FailureSequence(delta=delta, only=only) for _ in range(2))
+            for failed in record.tolist():
+                one.add(failed)
+            for part in blocks(len(record), cuts):
+                other.add_each(record[part])
+            assert state_of(one) == state_of(other)
+            assert (one.upper(), one.lower()) == (other.upper(), other.lower())
+
+    @pytest.mark.parametrize("p", [0.0, 0.002, 0.1, 0.5, 0.9, "falling", "rising"])
+    def test_so_do_some_thousand(self, p: float | str) -> None:
+        rng = np.random.default_rng(3)
+        chances = np.linspace(0.0, 0.6, 5_000)[:: 1 if p == "rising" else -1] if isinstance(p, str) else p
+        record = rng.random(5_000) < chances
+        one, other, whole = (FailureSequence(delta=0.05) for _ in range(3))
+        for failed in record.tolist():
+            one.add(failed)
+        for part in blocks(len(record), sizes(len(record), 3)):
+            other.add_each(record[part])
+        whole.add_each(record)
+        assert state_of(one) == state_of(other) == state_of(whole)
+        assert (one.upper(), one.lower()) == (whole.upper(), whole.lower())
+
+    def test_one_side_has_the_bound_of_both(self) -> None:
+        record = np.random.default_rng(4).random(500) < 0.2
+        both, upper, lower = (
+            FailureSequence(delta=0.05),
+            *(FailureSequence(delta=0.05, only=only) for only in ("upper", "lower")),
+        )
+        for each in (both, upper, lower):
+            each.add_each(record)
+        assert (upper.upper(), lower.lower()) == (both.upper(), both.lower())
+
     def test_bad_input(self) -> None:
         with pytest.raises(ValueError, match="must be"):
             FailureSequence(delta=1.0)
@@ -198,6 +242,39 @@ class TestQuantileSequence:
             failure += math.prod(chances[i] for i in path) * (found is not None and found > median)
         assert failure <= 0.3
 
+    @given(
+        st.lists(st.sampled_from([-math.inf, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, math.inf]), max_size=80),
+        st.lists(st.integers(1, 30), max_size=8),
+        st.sampled_from([0.1, 0.5, 0.9]),
+    )
+    @settings(max_examples=60, deadline=None)
+    def test_many_values_at_once_leave_the_state_of_one_after_the_other(
+        self, values: list[float], cuts: list[int], share: float
+    ) -> None:
+        one, other = quantile_of(values, share), quantile_of([], share)
+        for part in blocks(len(values), cuts):
+            other.add_each(np.array(values)[part])
+        assert state_of(one) == state_of(other)
+
+    @pytest.mark.parametrize("share", [0.02, 0.3, 0.8])
+    @pytest.mark.parametrize("law", ["uniform", "rising", "falling", "on the grid"])
+    def test_so_do_some_thousand(self, law: str, share: float) -> None:
+        rng, grid = np.random.default_rng(5), np.linspace(0, 1, 301).tolist()
+        values = {
+            "uniform": rng.uniform(0, 1, 6_000),
+            "rising": np.linspace(0, 1, 6_000),
+            "falling": np.linspace(1, 0, 6_000),
+            "on the grid": rng.choice(grid, 6_000),
+        }[law]
+        one, other, whole = (QuantileSequence(share, grid, delta=0.05) for _ in range(3))
+        for value in values.tolist():
+            one.add(value)
+        for part in blocks(len(values), sizes(len(values), 5)):
+            other.add_each(values[part])
+        whole.add_each(values)
+        assert state_of(one) == state_of(other) == state_of(whole)
+        assert one.lower() is not None
+
     def test_below_the_grid_there_is_no_bound(self) -> None:
         assert quantile_of([-1.0] * 200).lower() is None
         assert quantile_of([9.0] * 200).lower() == 3.0
@@ -215,6 +292,7 @@ class TestQuantileSequence:
             lambda: QuantileSequence(0.1, [0.0, math.inf], delta=0.05),
             lambda: QuantileSequence(0.1, GRID, delta=0.0),
             lambda: quantile_of([math.nan]),
+            lambda: quantile_of([]).add_each(np.array([1.0, math.nan])),
         ],
     )
     def test_bad_input(self, call: Callable[[], object]) -> None:
