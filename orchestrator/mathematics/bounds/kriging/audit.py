@@ -81,8 +81,9 @@ class PointMeans:
     def roughness(self) -> Floats:
         """Return r, 0 at points without rollouts, (q,)."""
         seen = self.counts > 0
+        matrix = self.kernel.copy() if seen.all() else self.kernel[np.ix_(seen, seen)]
+        matrix.flat[:: len(matrix) + 1] += self._noise / self.counts[seen]
         found = np.zeros(len(self.counts))
-        matrix = self.kernel[np.ix_(seen, seen)] + np.diag(self._noise / self.counts[seen])
         means = self._sums[seen] / self.counts[seen]
         found[seen] = np.linalg.solve(matrix, means - self._premises.prior_mean)
         return found
@@ -97,29 +98,31 @@ class NormAudit:
         self._guess = GuessedMean(premises)
         self._sum, self._count = 0.0, 0
         self._weights = np.zeros(len(planned))
+        self._used, self._begun = planned > 0, False
         self.b_min = 0.0
 
     def observe(self, point: int, values: Sequence[float]) -> None:
         """Bet on the rollouts of one test, before they enter `means`, and raise `b_min`."""
         planned = self._weight(point)
-        for value in values:
-            low, high = self._guess.limits
-            u, v = self._guess.value, min(max(planned, low), high)
+        for value, (u, low, high) in zip(values, self._guess.before(values), strict=True):
+            v = min(max(planned, low), high)
             self._sum += v * u + math.log1p(v * (value - u))
             self._weights[point] += v
-            self._guess.add(value)
         self._count += len(values)
         self.b_min = max(self.b_min, self._norm())
 
     def _weight(self, point: int) -> float:
         """Return v of the next rollout, a function of the tests before it."""
-        used = self._planned > 0
-        if np.any(self._means.counts[used] == 0) or not used[point]:
+        if not self._planned[point]:
             return 0.0
+        if not self._begun:
+            self._begun = bool(np.all(self._means.counts[self._used] > 0))
+            if not self._begun:
+                return 0.0
         r = self._means.roughness()
-        each = r[used] / self._planned[used]
+        each = r[self._used] / self._planned[self._used]
         # What a full campaign with these r would lose to ln(1/delta) and to the variance is least for this C.
-        variance = 0.5 * self._variance * float(np.sum(r[used] * each))
+        variance = 0.5 * self._variance * float(np.sum(r[self._used] * each))
         if not variance:
             return 0.0
         low, high = self._guess.limits

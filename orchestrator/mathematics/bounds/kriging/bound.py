@@ -101,21 +101,29 @@ class GuessedMean:
         found = (self._sum + count * mean) / (self._count + count)
         return min(max(found, self._low), self._high)
 
-    def add(self, value: float) -> None:
-        """Take a rollout.
+    def before(self, values: Sequence[float]) -> list[tuple[float, float, float]]:
+        """Take rollouts, and return the guess and the limits before each of them.
 
         Raises:
-            ValueError: the value is outside its range.
+            ValueError: a value is outside its range; nothing changes.
 
         """
-        check_value(value, (self._low, self._high))
-        self._sum, self._count = self._sum + value, self._count + 1
+        check_values(values, (self._low, self._high))
+        found, total, count = [], self._sum, self._count
+        for value in values:
+            u = min(max(total / count, self._low), self._high)
+            found.append((u, *self.limits_at(u)))
+            total, count = total + value, count + 1
+        self._sum, self._count = total, count
+        return found
 
 
-def check_value(value: float, ends: tuple[float, float]) -> None:
+def check_values(values: Sequence[float], ends: tuple[float, float]) -> None:
     """Raise ValueError if a rollout is outside its range."""
-    if not ends[0] <= value <= ends[1]:
-        raise ValueError(f"a rollout must be in [{ends[0]}, {ends[1]}], not {value!r}")
+    low, high = ends
+    for value in values:
+        if not low <= value <= high:
+            raise ValueError(f"a rollout must be in [{low}, {high}], not {value!r}")
 
 
 class KrigingBounds:
@@ -132,7 +140,8 @@ class KrigingBounds:
         m, q = planned.shape
         self._guess = GuessedMean(premises)
         self._sum, self._moved = np.zeros(m), np.zeros(m)
-        self._weights, self._of_weights = np.zeros((m, q)), np.zeros((m, q))
+        self._weights, self._absolute = np.zeros((m, q)), np.zeros((m, q))
+        self._of_weights = np.zeros((q, m))  # sum_j W_j k(x_i, x_j)
         self._least = np.zeros_like(cells.kernel(0))  # of sum W_i k(d, x_i), on the subgrid
         self._squared = np.zeros(m)
         self._count = 0
@@ -159,17 +168,14 @@ class KrigingBounds:
             ValueError: a value is outside its range.
 
         """
-        for value in values:
-            check_value(value, self.premises.ends)
-        total = np.zeros(len(self._sum))
-        for value in values:
-            # Both are functions of the rollouts before this one, those of its own test included.
-            u = self._guess.value
+        total, planned = np.zeros(len(self._sum)), self._planned[:, point].copy()
+        least, most = float(planned.min()), float(planned.max())
+        # The guess and the limits are functions of the rollouts before, those of the same test included.
+        for value, (u, low, high) in zip(values, self._guess.before(values), strict=True):
             # One plan for the whole budget: mixtures of plans, and plans made anew in stages, gave weaker bounds.
-            v = np.clip(self._planned[:, point], *self._guess.limits)
+            v = planned if low <= least and most <= high else np.minimum(np.maximum(planned, low), high)
             self._sum += v * u + np.log1p(v * (value - u))
             total += v
-            self._guess.add(value)
         self._count += len(values)
         self._moved += np.abs(total)  # weights of one point have one sign
         self._add_weight(point, total)
@@ -195,6 +201,7 @@ class KrigingBounds:
         """
         found = copy.copy(self)
         found._weights, found._of_weights = self._weights.copy(), self._of_weights.copy()
+        found._absolute = self._absolute.copy()
         found._least, found._squared = self._least.copy(), self._squared.copy()
         for point in np.flatnonzero(np.any(totals != 0, axis=0)).tolist():
             found._add_weight(point, totals[:, point])
@@ -220,14 +227,17 @@ class KrigingBounds:
         # |ln(1 + y)| is at most 3.2 |y| for y >= -CAP, so that no term is larger than 5 |v| times this.
         rounding = EPSILON * (self._count + 10) * 6.0 * largest * self._moved
         gain = self._sum - cost - m0 * self._weights.sum(axis=1) - rounding
-        least, spread = self._least.min(axis=1), np.abs(self._weights).sum(axis=1)
-        found = self._best(gain, least, spread) - b * self._cells.reach
+        least, spread = self._least.min(axis=0), self._absolute.sum(axis=1)
+        lost = b * self._cells.reach
         if has_bend(self._cells.sag):
-            found = np.maximum(found, self._best(gain, least - self._cells.sag * spread, spread))
-        return np.minimum(np.maximum(m0 + found, self.premises.without_data), m0 + b)
+            both = self._best(gain, np.array([least, least - self._cells.sag * spread]), spread)
+            found = np.maximum(both[0] - lost, both[1])
+        else:
+            found = self._best(gain, least, spread) - lost
+        return np.asarray(np.minimum(np.maximum(m0 + found, self.premises.without_data), m0 + b), dtype=np.float64)
 
     def _best(self, gain: Floats, least: Floats, spread: Floats) -> Floats:
-        """Return the largest of kappa A - B sqrt(...) over kappa, (m,)."""
+        """Return the largest of kappa A - B sqrt(...) over kappa, for every row of G, `least` (.., m)."""
         b, q = self.premises.rkhs_norm, np.maximum(self._squared, 1e-300)
         rest = np.maximum(1.0 - least * least / q, 0.0)
         room = b * b * q - gain * gain
@@ -242,7 +252,8 @@ class KrigingBounds:
         return np.asarray(kappa * gain - b * norm * (1.0 + 1e-14), dtype=np.float64)
 
     def _add_weight(self, point: int, total: Floats) -> None:
-        self._squared += total * (2.0 * self._of_weights[:, point] + total)
+        self._squared += total * (2.0 * self._of_weights[point] + total)
         self._weights[:, point] += total
-        self._of_weights += total[:, None] * self._kernel[point]
-        self._least += total[:, None] * self._cells.kernel(point)
+        self._absolute[:, point] = np.abs(self._weights[:, point])
+        self._of_weights += self._kernel[point][:, None] * total
+        self._least += total * self._cells.kernel(point)

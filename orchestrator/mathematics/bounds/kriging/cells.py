@@ -5,7 +5,7 @@
 | c      |             | nodes; the cell of c is the part of the box nearest to it       | (m, p)    | parameter |
 | d      |             | points of a subgrid of every cell, its edges included           | (m, s, p) | parameter |
 | x_i    |             | points of the design                                            | (q, p)    | parameter |
-|        | `kernel(i)` | k(d, x_i)                                                       | (m, s)    | -         |
+|        | `kernel(i)` | k(d, x_i)                                                       | (s, m)    | -         |
 | h      |             | distances of neighbouring points of a subgrid, in length scales | (p,)      | -         |
 |        | `sag`       | sum_j h_j^2/8 times the largest absolute k''                    | (m,)      | -         |
 |        | `reach`     | d_k of half the diagonal of h                                   | (m,)      | -         |
@@ -43,10 +43,12 @@ class NodeCells:
         self.sag = np.sum(steps**2, axis=1) / 8.0 * radial.largest_bend * (1.0 + 1e-12)
         diagonals, inverse = np.unique(np.sqrt(np.sum(steps**2, axis=1)) / 2.0, return_inverse=True)
         self.reach = np.array([radial.distance(each) for each in diagonals.tolist()])[inverse] + 1e-12
-        self._kernel = [_kernel_at(radial, subgrid, each) for each in scaled(points, radial.axes)]
+        # Cells side by side: minima over the subgrid take an eighth of the time.
+        kernels = (_kernel_at(radial, subgrid, each) for each in scaled(points, radial.axes))
+        self._kernel = [np.ascontiguousarray(each.T) for each in kernels]
 
     def kernel(self, i: int) -> Floats:
-        """Return k(d, x_i) at the subgrid of every cell, (m, s)."""
+        """Return k(d, x_i) at the subgrid of every cell, (s, m)."""
         return self._kernel[i]
 
 

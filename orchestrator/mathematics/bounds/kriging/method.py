@@ -27,9 +27,9 @@ from ...gp.kernels import Floats, Matern
 from ...gp.lattice import Lattice
 from ...gp.points import point_at
 from ...gp.radial import Radial
-from ..method import Method
+from ..method import Integers, Method
 from .audit import NormAudit, PointMeans
-from .bound import GuessedMean, KrigingBounds, KrigingPremises, check_value
+from .bound import GuessedMean, KrigingBounds, KrigingPremises, check_values
 from .cells import NodeCells, between
 from .design import plan_design
 from .forecast import PlannedBounds
@@ -75,6 +75,7 @@ class KrigingMethod(Method):
         # From here on everything is about X: J is maximised, so its mirror is bounded from below.
         self._premises = KrigingPremises(premises.rkhs_norm, -premises.prior_mean, (-high, -low), premises.delta)
         self._points = lattice.nodes[list(self.design.nodes)]
+        self._places = {node: i for i, node in enumerate(self.design.nodes)}
         self._to_nodes = between(self._radial, lattice.nodes, self._points)
         self._inner = between(self._radial, self._points, self._points)
         self._counts = np.array(self.design.counts, dtype=np.float64) * budget.replicates
@@ -151,22 +152,27 @@ class KrigingMethod(Method):
         """
         return self.bound_after([(proposal, observation)])
 
+    def observe_each(self, nodes: Integers, y: Floats, each: Floats) -> Bound:
+        """Add the rollouts of k tests and return the bound; raises as `observe`.
+
+        The bound of a cell is the largest one after any test, and a refutation keeps the bound before it: both need the
+        bounds of all cells after each test, O(m (q + s)) a test and O(m) a rollout whatever k is.
+        """
+        self.recall_each(nodes, y, each)
+        return self.bound_after([])
+
     def bound_after(self, tests: Sequence[tuple[Proposal, Observation]]) -> Bound:
         """Add observations, and return the bound that follows from all of them; raises as `observe`."""
         self.recall(tests)
         return Bound(self._upper, None, "refuted" if self._is_refuted else None)
 
     def recall(self, tests: Sequence[tuple[Proposal, Observation]]) -> None:
-        """Add observations; raises as `observe`."""
-        for proposal, observation in tests:
-            if proposal.node not in self.design.nodes:
-                raise ValueError(f"node {proposal.node} is no point of the design")
-            values = [-value for value in observation.each]
-            if not values:
-                raise ValueError("a test needs at least one rollout")
-            for value in values:
-                check_value(value, self._premises.ends)
-            self._add(self.design.nodes.index(proposal.node), values)
+        """Add observations; raises as `observe`, and then nothing changes."""
+        self._add([(proposal.node, [-value for value in observation.each]) for proposal, observation in tests])
+
+    def recall_each(self, nodes: Integers, y: Floats, each: Floats) -> None:  # noqa: ARG002
+        """Add observations; raises as `observe`, and then nothing changes."""
+        self._add(list(zip(nodes.tolist(), (-each).tolist(), strict=True)))
 
     def band(self, bound: Bound) -> Band:
         """Return the band: for all nodes at once at 1 - delta, each cell at delta/#nodes, from the rollouts so far.
@@ -180,7 +186,18 @@ class KrigingMethod(Method):
         nothing = np.full(self.size, math.nan)
         return Band(tuple(mean.tolist()), tuple(nothing.tolist()), tuple(upper.tolist()), possible=(True,) * self.size)
 
-    def _add(self, point: int, values: Sequence[float]) -> None:
+    def _add(self, tests: Sequence[tuple[int, Sequence[float]]]) -> None:
+        """Add tests, each with its node and the values of X."""
+        for node, values in tests:
+            if node not in self._places:
+                raise ValueError(f"node {node} is no point of the design")
+            if not values:
+                raise ValueError("a test needs at least one rollout")
+            check_values(values, self._premises.ends)
+        for node, values in tests:
+            self._take(self._places[node], values)
+
+    def _take(self, point: int, values: Sequence[float]) -> None:
         self._audit.observe(point, values)  # before the means: its bets are functions of the tests before
         self._bounds.observe(point, values)
         self._means.add(point, values)

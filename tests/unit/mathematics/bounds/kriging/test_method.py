@@ -20,6 +20,8 @@ from perfbound.orchestrator.mathematics.gp.kernels import Matern
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice
 from perfbound.orchestrator.mathematics.gp.radial import Radial
 from perfbound.schemas.values import Observation, Proposal
+from tests.fakes.observations import an_observation
+from tests.fakes.states import blocks, state_of
 
 Floats = NDArray[np.float64]
 SQUARE = Lattice((0.0, 0.0), (1.0, 1.0), 9)
@@ -133,7 +135,7 @@ class TestCells:
         assert has_bend(cells.sag) == (nu > 1)
         for _ in range(10):
             w = rng.normal(size=4)
-            least = sum(w[i] * cells.kernel(i) for i in range(4)).min(axis=1)
+            least = sum(w[i] * cells.kernel(i) for i in range(4)).min(axis=0)
             norm = math.sqrt(float(w @ between(radial, points, points) @ w))
             z = rng.uniform(lattice.low, lattice.high, (400, dimension))
             # The nearest node in units of the spacing has the point in its cell.
@@ -237,7 +239,7 @@ class TestBounds:
     def test_the_guess_is_the_mean_of_the_past(self) -> None:
         guess = GuessedMean(PREMISES)
         assert guess.value == 0.7
-        guess.add(0.1)
+        assert guess.before([0.1]) == [(0.7, *guess.limits_at(0.7))]
         assert guess.value == pytest.approx(0.4)
         low, high = guess.limits
         assert (1 + high * (0 - 0.4), 1 + low * (1 - 0.4)) == pytest.approx((1 - CAP, 1 - CAP))
@@ -337,3 +339,47 @@ class TestMethod:
         assert method.propose() == proposal
         with pytest.raises(ValueError, match="spread"):
             KrigingMethod(SQUARE, KERNEL, PREMISES, spread=0.0, budget=KrigingBudget(10, 1, 3))
+
+
+class TestManyAtOnce:
+    """Everything is to the bit as after one test after the other."""
+
+    @pytest.mark.parametrize(
+        ("norm", "mean", "verdict"), [(1.0, 0.7, None), (0.1, 0.7, "refuted"), (0.01, 0.9, "refuted")]
+    )
+    @pytest.mark.parametrize("seed", [0, 1])
+    def test_any_blocks(self, norm: float, mean: float, verdict: str | None, seed: int) -> None:
+        one, many, recalled, told = (a_method(norm, tests=120) for _ in range(4))
+        rng = np.random.default_rng(seed)
+        nodes = np.array([one.design.nodes[point] for point in one.design.order])
+        means = mean + 0.15 * np.cos(4 * np.pi * SQUARE.nodes[nodes, 0])
+        each = -np.clip(means[:, None] + 0.05 * rng.standard_normal((len(nodes), 4)), 0, 1)
+        for part in blocks(len(nodes), rng.integers(1, 20, 40).tolist()):
+            given = nodes[part], each[part].mean(axis=1), each[part]
+            tests = [an_observation(*test) for test in zip(nodes[part].tolist(), each[part].tolist(), strict=True)]
+            bounds = [one.observe(*test) for test in tests]
+            assert many.observe_each(*given) == told.bound_after(tests) == bounds[-1]
+            recalled.recall_each(*given)
+            assert state_of(one) == state_of(many) == state_of(recalled) == state_of(told)
+            assert state_of(one.band(bounds[-1])) == state_of(many.band(bounds[-1]))
+        assert bounds[-1].verdict == verdict
+
+    def test_an_error_changes_nothing(self) -> None:
+        method = a_method()
+        first = method.design.nodes[0]
+        method.recall_each(np.array([first]), np.zeros(1), np.full((1, 4), -0.5))
+        before = state_of(method)
+        good = np.full((3, 4), -0.5)
+        for nodes, each in (
+            ([first, 1, first], good),
+            ([first] * 3, np.vstack([good[:2], [[-0.5, -0.5, -0.5, 0.5]]])),
+            ([first] * 3, np.vstack([good[:2], [[-0.5, -0.5, -0.5, math.nan]]])),
+            ([first] * 3, good[:, :0]),
+        ):
+            for call in (method.observe_each, method.recall_each):
+                with pytest.raises(ValueError, match=r"no point|at least one|must be in"):
+                    call(np.array(nodes), np.zeros(3), each)
+            tests = [an_observation(*test) for test in zip(nodes, each.tolist(), strict=True)]
+            with pytest.raises(ValueError, match=r"no point|at least one|must be in"):
+                method.recall(tests)
+        assert state_of(method) == before
