@@ -20,7 +20,10 @@ import numpy as np
 from ....schemas.values import Band, Bound, Observation, Proposal, Verdict
 from ..gp.acquisition import maximiser, rival_node
 from ..gp.kernels import Floats
-from .method import Method
+from .method import Integers, Method
+
+PIECE = 2**12
+"""Tests that are Python objects at a time, of half a kilobyte each."""
 
 
 class SharedMethod(Method, Protocol):
@@ -98,6 +101,17 @@ class JointMethod(Method, Generic[Part]):
         self.bounds = tuple(part.observe(proposal, own) for part, own in zip(self.parts, each, strict=True))
         return joined(self.bounds)
 
+    def observe_each(self, nodes: Integers, y: Floats, each: Floats) -> Bound:
+        """Give every method its observations of k tests, and return the bound of the largest objective."""
+        found = zip(self.parts, self._split_each(y, each), strict=True)
+        self.bounds = tuple(part.observe_each(nodes, *own) for part, own in found)
+        return joined(self.bounds)
+
+    def recall_each(self, nodes: Integers, y: Floats, each: Floats) -> None:
+        """Give every method its observations of k tests, whose bounds are known."""
+        for part, own in zip(self.parts, self._split_each(y, each), strict=True):
+            part.recall_each(nodes, *own)
+
     def recall(self, tests: Sequence[tuple[Proposal, Observation]]) -> None:
         """Give every method its observations, whose bounds are known."""
         each = [self._split(observation) for _, observation in tests]
@@ -113,6 +127,19 @@ class JointMethod(Method, Generic[Part]):
         )
         # Its maximum is that of some objective, so it is where the maximum of one of them may be.
         return Band(mean, lower, upper, tuple(map(any, zip(*(band.possible for band in found), strict=True))))
+
+    def _split_each(self, y: Floats, each: Floats) -> list[tuple[Floats, Floats]]:
+        """Return the observations (k,) of every method, and the contributions (k, b) to them."""
+        own: list[list[tuple[Floats, Floats]]] = [[] for _ in self.parts]
+        for first in range(0, len(y), PIECE):
+            rows = zip(y[first : first + PIECE].tolist(), each[first : first + PIECE].tolist(), strict=True)
+            tests = [self._split(Observation(value, tuple(row))) for value, row in rows]
+            for pieces, observations in zip(own, zip(*tests, strict=True), strict=True):
+                pieces.append((np.array([one.y for one in observations]), np.array([one.each for one in observations])))
+        return [
+            (np.concatenate([values for values, _ in pieces]), np.concatenate([rows for _, rows in pieces]))
+            for pieces in own
+        ]
 
     @property
     def _lead(self) -> int:

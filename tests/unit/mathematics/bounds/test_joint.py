@@ -1,20 +1,25 @@
 """Several methods on one sequence of tests: whose turn it is, and what is bounded of the largest objective."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
 
 from perfbound.orchestrator.mathematics.bounds.joint import JointMethod, joined
+from perfbound.orchestrator.mathematics.bounds.kriging.bound import KrigingPremises
+from perfbound.orchestrator.mathematics.bounds.kriging.method import KrigingBudget, KrigingMethod
+from perfbound.orchestrator.mathematics.bounds.method import Integers
 from perfbound.orchestrator.mathematics.bounds.rigorous.confidence import Premises
 from perfbound.orchestrator.mathematics.bounds.rigorous.method import RigorousMethod
 from perfbound.orchestrator.mathematics.bounds.scenario import ScenarioMethod
 from perfbound.orchestrator.mathematics.gp.kernels import Floats, Matern
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice
 from perfbound.orchestrator.mathematics.gp.points import Points
-from perfbound.schemas.values import Bound, Observation
+from perfbound.schemas.values import Bound, Observation, Proposal
+from tests.fakes.states import blocks, state_of
 
 ALPHA = 0.05
 NODES = Lattice((0.0,), (1.0,), 41).nodes
@@ -180,3 +185,68 @@ def test_lists_of_starts_are_shared_too() -> None:
 def test_a_tolerance_for_each_method() -> None:
     with pytest.raises(ValueError, match="one tolerance for each"):
         JointMethod([part(), part()], [ALPHA], split, NODES)
+
+
+class TestManyAtOnce:
+    """Every method has, to the bit, what it has after one test after the other."""
+
+    @staticmethod
+    def check(make: Callable[[], JointMethod[Any]], nodes: Integers, each: Floats) -> None:
+        one, many, recalled = make(), make(), make()
+        for part in blocks(len(nodes), [1, 5, 2, 40]):
+            given = nodes[part], each[part].max(axis=1), each[part]
+            for node, y, row in zip(*(array.tolist() for array in given), strict=True):
+                bound = one.observe(Proposal(node, (), None, None, None, None), Observation(y, tuple(row)))
+            assert many.observe_each(*given) == bound
+            assert many.bounds == one.bounds
+            recalled.recall_each(*given)
+            # Method `rigorous` keeps room for more rows, which has any content, and recalls no certified bound.
+            for other in (many, recalled):
+                assert state_of(one.band(bound)) == state_of(other.band(bound))
+                if not isinstance(one.parts[0], RigorousMethod):
+                    assert state_of(one.parts) == state_of(other.parts)
+
+    def test_of_scenarios(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        points = Points(((0.0,), (1.0,), (2.0,)))
+
+        def make() -> JointMethod[ScenarioMethod]:
+            parts = [
+                ScenarioMethod(points, clip=(-1.0, 1.0), risk_weight=0.2, delta=0.05, alpha=0.2, risk=risk)
+                for risk in ("bhatia-davis", "mean")
+            ]
+            return JointMethod(parts, [0.2, 0.2], halves, points.nodes)
+
+        rng = np.random.default_rng(1)
+        nodes, each = rng.integers(0, 3, 60), np.clip(rng.normal(0.5, 0.2, (60, 4)), -1, 1)
+        self.check(make, nodes, each)
+        monkeypatch.setattr("perfbound.orchestrator.mathematics.bounds.joint.PIECE", 4)
+        self.check(make, nodes, each)
+
+    def test_of_kriging(self) -> None:
+        lattice, premises = Lattice((0.0,), (1.0,), 9), KrigingPremises(0.3, -0.6, (-1.0, 0.0), 0.05)
+
+        def make() -> JointMethod[KrigingMethod]:
+            parts = [
+                KrigingMethod(lattice, Matern(2.5, 1.0), premises, spread=0.1, budget=KrigingBudget(60, 2, 3))
+                for _ in range(2)
+            ]
+            return JointMethod(parts, [math.inf, math.inf], halves, lattice.nodes)
+
+        design = make().parts[0].design
+        nodes = np.array([design.nodes[point] for point in design.order])
+        self.check(make, nodes, np.random.default_rng(2).uniform(-0.8, -0.5, (60, 4)))
+
+    def test_of_methods_that_choose_their_tests(self) -> None:
+        nodes = np.random.default_rng(3).permutation(41)[:12]
+        x = NODES[nodes, 0]
+        self.check(
+            lambda: JointMethod([part(), part()], [ALPHA, ALPHA], split, NODES),
+            nodes,
+            np.column_stack([0.9 - x**2, 0.5 * x]),
+        )
+
+
+def halves(observation: Observation) -> list[Observation]:
+    """Return the observations of two requirements with two replicates each."""
+    both = observation.each[:2], observation.each[2:]
+    return [Observation(sum(each) / 2, each) for each in both]
