@@ -245,7 +245,7 @@ class ScenarioMethod(Method):
 
     def recall_each(self, nodes: Integers, y: Floats, each: Floats) -> None:  # noqa: ARG002
         """Add observations; raises as `observe`."""
-        self._add(nodes, each)
+        self._add(nodes, np.asarray(each, dtype=np.float64))
 
     def band(self, bound: Bound) -> Band:  # noqa: ARG002  (the bounds of the scenarios are stored)
         """Return the band; no scenario has a lower bound of its own, and the upper ones are valid one by one."""
@@ -284,7 +284,7 @@ class ScenarioMethod(Method):
         if not len(nodes):
             return
         low, high = self._reading.clip
-        for index in nodes[(nodes < 0) | (nodes >= self.size)].tolist():
+        for index in () if are_within(nodes, 0, self.size - 1) else nodes.tolist():
             check_index(index, self.size)
         # Checked before the first bet: half a test would change the state.
         if not values.shape[1] or not are_within(values, low, high):
@@ -294,14 +294,14 @@ class ScenarioMethod(Method):
             self._bet(nodes[first : first + PIECE], values[first : first + PIECE])
 
     def _bet(self, nodes: Integers, values: Floats) -> None:
-        x = units(values, self._reading)
+        x = units(values.ravel(), self._reading).reshape(values.shape)
         complement = 1.0 - x
-        visited, past = sorted(set(nodes.tolist())), np.empty((*x.shape, 3))
+        visited, past = sorted(set(nodes.tolist())), np.empty((*values.shape, 3))
         places = [np.flatnonzero(nodes == index) if len(visited) > 1 else slice(None) for index in visited]
         for index, tests in zip(visited, places, strict=True):
             # A bet is a function of the rollouts before, of the scenario alone.
             found = self._scenarios[index].complement.before(complement[tests].ravel().tolist())
-            past[tests] = found.reshape(-1, x.shape[1], 3)
+            past[tests] = found.reshape(-1, values.shape[1], 3)
         self._upper.observe_each(complement.ravel(), past.reshape(-1, 3))
         for index, tests in zip(visited, places, strict=True):
             self._scenarios[index].observe(values[tests], x[tests])

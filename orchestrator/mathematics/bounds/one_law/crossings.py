@@ -91,7 +91,7 @@ class Side:
                 for failures, count in part.pairs():
                     bound = tighten(failures, count, bound)
             elif (place := self._likeliest(p, part, threshold)) is not None:
-                # Then the others are less likely to change it. Halves, so that the pieces are few.
+                # What it finds spares most of the others. Halves, not the parts beside the place: those may be many.
                 bound, middle = tighten(int(part.failures[place]), int(part.counts[place]), bound), len(part) // 2
                 waiting += [part[middle:], part[:middle]]
         return bound

@@ -178,13 +178,13 @@ class FailureSequence:
             self.add(bool(failed[0]))  # in a tenth of the time
             return
         # As in `add` the bounds change where a series ends; series of failures and of successes take turns.
-        ends, last = np.flatnonzero(failed[1:] != failed[:-1]) + 1, int(self._last)
-        if failed[0] != self._last:
+        ends, last = (failed[1:] != failed[:-1]).nonzero()[0] + 1, int(self._last)
+        if bool(failed[0]) != self._last:
             ends = np.concatenate(([0], ends))
         series = ends.copy()
         series[1:] -= ends[:-1]
         series[last::2] = 0  # successes
-        before = Counts(self.failures + np.cumsum(series), self.count + ends)
+        before = Counts(self.failures + series.cumsum(), self.count + ends)
         threshold = _threshold(self._delta)
         if self._only != "lower":
             self._above = _ABOVE.best(self._above, before[last::2], threshold, self._lowered)

@@ -77,12 +77,8 @@ class TestReadings:
     @pytest.mark.parametrize("constants", [None, (0.7, 0.09)])
     def test_a_unit_is_the_place_between_the_ends(self, constants: tuple[float, float] | None) -> None:
         reading = RiskReading((-0.05, 0.75), 0.2, constants)
-        values = np.random.default_rng(3).uniform(-0.05, 0.75, (50, 4))
-        values[0] = (-0.05, 0.75, 0.0, 0.7)
+        values = np.random.default_rng(3).uniform(-0.05, 0.75, 200)
+        values[:4] = (-0.05, 0.75, 0.0, 0.7)
         low, high = reading.ends
-        moved = [
-            value if constants is None else linearised(value, 0.2, *constants) for value in values.ravel().tolist()
-        ]
-        assert units(values, reading).ravel().tolist() == [
-            min(max((each - low) / (high - low), 0.0), 1.0) for each in moved
-        ]
+        moved = [value if constants is None else linearised(value, 0.2, *constants) for value in values.tolist()]
+        assert units(values, reading).tolist() == [min(max((each - low) / (high - low), 0.0), 1.0) for each in moved]
