@@ -27,6 +27,7 @@ from tests.studies.benchmarks.parts import (  # noqa: E402  (numpy reads the set
     fleet,
     forms,
     kriging,
+    observing,
     proposal,
     reactions,
     requirements,
@@ -47,6 +48,7 @@ PARTS = (
     "rigorous",
     "scenario",
     "kriging",
+    "observing",
     "falsification",
     "requirements",
     "stl",
@@ -114,6 +116,7 @@ def measure(part: str, peers: dict[str, Any], *, alone: bool) -> list[report.Row
     plain = {
         "scenario": scenario.main,
         "kriging": kriging.main,
+        "observing": observing.main,
         "requirements": requirements.main,
         "rollout": rollout.main,
         "forms": forms.main,
