@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from ..blocks import blocks
 from ..gp.kernels import Floats
 from .sampled import SampledValues, kernel_matrix, unit_kernel
 
@@ -52,9 +53,13 @@ class KernelFit:
     def mean(self, data: SampledValues, shares: Floats) -> Floats:
         """Return the posterior mean at starts (m, p), in the unit of the values."""
         centre = float(data.values.mean())
-        return np.asarray(
-            centre + kernel_matrix(self.nu, self.lengths, shares, data.shares) @ self.weights(data, centre)
-        )
+        weights = self.weights(data, centre)
+        # A lattice has so many nodes that their kernel with all starts would be the largest array of a calibration.
+        parts = [
+            kernel_matrix(self.nu, self.lengths, shares[part], data.shares) @ weights
+            for part in blocks(len(shares), len(weights))
+        ]
+        return np.asarray(centre + np.concatenate(parts), dtype=np.float64)
 
     def covariance(self, data: SampledValues, shares: Floats) -> Floats:
         """Return the posterior covariance at starts (m, p), shape (m, m), in the square of the unit of the values."""

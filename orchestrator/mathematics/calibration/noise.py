@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..gp.kernels import Floats
+from ..gp.kernels import Floats, squared_distances
 
 NOISIEST = 4
 """Starts at which more rollouts follow."""
@@ -36,8 +36,7 @@ def pooled(values: Floats) -> float:
 
 def nearest_starts(shares: Floats) -> NDArray[np.intp]:
     """Return for each start (n, p) the `POOLED` nearest ones, itself among them, (n, POOLED)."""
-    square = np.sum((shares[:, None, :] - shares[None, :, :]) ** 2, axis=2)
-    return np.argsort(square, axis=1, kind="stable")[:, :POOLED]
+    return np.argsort(squared_distances(shares, shares), axis=1, kind="stable")[:, :POOLED]
 
 
 def noisiest(shares: Floats, values: Floats, count: int = NOISIEST) -> list[int]:

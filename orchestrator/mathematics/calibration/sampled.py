@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..gp.kernels import Floats, Matern
+from ..gp.kernels import Floats, Matern, squared_distances
 from ..gp.radial import Radial
 
 
@@ -41,5 +41,4 @@ def unit_kernel(nu: float) -> Radial:
 
 def kernel_matrix(nu: float, lengths: Floats, first: Floats, second: Floats) -> Floats:
     """Return the kernel between starts (n, p) and (m, p), shape (n, m)."""
-    steps = (first[:, None, :] - second[None, :, :]) / lengths
-    return unit_kernel(nu).value(np.sqrt(np.sum(steps**2, axis=2)))
+    return unit_kernel(nu).value(np.sqrt(squared_distances(first, second, lengths)))

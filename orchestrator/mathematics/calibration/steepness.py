@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..gp.kernels import Floats
+from ..gp.kernels import Floats, squared_distances
 from .sampled import SampledValues
 
 # Halved: quotients among starts that fill the space would need 16 times as many of them for the same contrast.
@@ -137,7 +137,7 @@ def _pair_place(data: SampledValues, first: int, second: int) -> SteepPlace:
 
 def _neighbours(shares: Floats) -> list[tuple[int, int]]:
     """Return each pair of a start and one of its nearest ones, once."""
-    square = np.sum((shares[:, None, :] - shares[None, :, :]) ** 2, axis=2)
+    square = squared_distances(shares, shares)
     np.fill_diagonal(square, np.inf)
     nearest = np.argsort(square, axis=1, kind="stable")[:, :NEIGHBOURS]
     pairs = {(min(k, int(j)), max(k, int(j))) for k, row in enumerate(nearest) for j in row}

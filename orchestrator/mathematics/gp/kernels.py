@@ -21,6 +21,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from ..blocks import blocks
+
 Floats = NDArray[np.float64]
 
 
@@ -36,6 +38,20 @@ def scaled(z: Floats, axes: Floats | None) -> Floats:
     if z.shape[-1] != len(axes):
         raise ValueError(f"the kernel has {len(axes)} length scales for {z.shape[-1]} parameters; give one for each")
     return np.asarray(z / axes, dtype=np.float64)
+
+
+def squared_distances(first: Floats, second: Floats, axes: Floats | None = None) -> Floats:
+    """Return the squared distances between two lists of points (n, p) and (m, p), (n, m), scaled by `axes` if given.
+
+    >>> squared_distances(np.array([[0.0, 0.0]]), np.array([[3.0, 4.0], [0.0, 1.0]])).tolist()
+    [[25.0, 1.0]]
+    """
+    found = np.empty((len(first), len(second)))
+    # The differences have p numbers for each pair.
+    for part in blocks(len(first), second.size):
+        difference = scaled(first[part, None, :] - second[None, :, :], axes)
+        found[part] = np.sum(difference * difference, axis=2)
+    return found
 
 
 @dataclass(frozen=True, slots=True)

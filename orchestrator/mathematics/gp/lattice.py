@@ -101,18 +101,17 @@ class Lattice:
 
 
 class KernelRows:
-    """Kernel rows of a lattice, each a copy of a window of one table.
+    """Kernel rows of a lattice, each taken from one table.
 
-    A stationary kernel depends on two nodes only through |index offset| per axis. The table contains every offset from
-    -(resolution - 1) to resolution - 1, mirrored, so that row i is a contiguous window and k(z_i, z_j) = k(z_j, z_i)
-    bit by bit.
+    A stationary kernel depends on two nodes only through |index offset| per axis, so that the table has as many numbers
+    as there are nodes, and k(z_i, z_j) = k(z_j, z_i) bit by bit.
     """
 
     def __init__(self, lattice: Lattice, kernel: Callable[[Floats], Floats], axes: Floats | None = None) -> None:
         self.size = lattice.size
         self._shape = (lattice.resolution,) * lattice.dimension
         spacing = scaled(np.array(lattice.spacing), axes).tolist()
-        self._table = _mirrored(kernel(_offset_distances(spacing, lattice.resolution)))
+        self._table = kernel(_offset_distances(spacing, lattice.resolution))
 
     def row(self, index: int) -> Floats:
         """Return k(z_index, all nodes), shape (m,).
@@ -122,9 +121,11 @@ class KernelRows:
 
         """
         check_index(index, self.size)
-        last = self._shape[0] - 1
-        window = tuple(slice(last - i, 2 * last - i + 1) for i in np.unravel_index(index, self._shape))
-        return self._table[window].ravel()
+        # Offsets of both signs would make slices of the rows, and a table of 2^p times the size.
+        found, steps = self._table, np.arange(self._shape[0])
+        for axis, place in enumerate(np.unravel_index(index, self._shape)):
+            found = found.take(np.abs(steps - place), axis=axis)
+        return found.ravel()
 
 
 def check_index(index: int, size: int) -> None:
@@ -139,12 +140,3 @@ def _offset_distances(spacing: Sequence[float], resolution: int) -> Floats:
     offsets = np.arange(resolution)
     squares = [(offsets * step) ** 2 for step in spacing]
     return np.asarray(np.sqrt(sum(np.ix_(*squares))), dtype=np.float64)
-
-
-def _mirrored(table: Floats) -> Floats:
-    """Extend a table over non-negative offsets to negative ones, along every axis."""
-    for axis in range(table.ndim):
-        # The same numbers on both sides make k(z_i, z_j) = k(z_j, z_i) to the bit.
-        negative = np.flip(np.delete(table, 0, axis=axis), axis=axis)
-        table = np.concatenate([negative, table], axis=axis)
-    return table

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .kernels import Floats, scaled
+from .kernels import Floats, squared_distances
 from .lattice import Lattice, check_index
 
 MAX_POINTS = 5_000
@@ -82,8 +82,7 @@ class PointRows:
         return np.asarray(self._rows[index], dtype=np.float64)
 
     def _computed(self, rows: slice) -> Floats:
-        difference = scaled(self._points[rows, None, :] - self._points[None, :, :], self._axes)  # (n, m, p)
-        return self._kernel(np.sqrt(np.sum(difference * difference, axis=2)))
+        return self._kernel(np.sqrt(squared_distances(self._points[rows], self._points, self._axes)))
 
 
 Candidates = Lattice | Points

@@ -25,7 +25,7 @@ from ...campaign.plan import ProblemPlan
 from ...mathematics.bounds.kriging.design import points_per_parameter
 from ...mathematics.bounds.kriging.method import KrigingMethod
 from ...mathematics.calibration.kernel_fit import KernelFit
-from ...mathematics.gp.kernels import Floats
+from ...mathematics.gp.kernels import Floats, squared_distances
 from ..rounded import PARTS
 from ..size import LEAST_COST, PER_SECOND, WORKERS
 from .constants import Constant, ProblemEvidence
@@ -241,8 +241,7 @@ class _Forecaster:
         points = (method.lattice.nodes[list(method.design.nodes)] - box.low) / box.widths
         data = measured.data
         residuals = measured.values - self.fit.mean(data, data.shares)[:, None]
-        square = np.sum((points[:, None, :] - data.shares[None, :, :]) ** 2, axis=2)
-        nearest = np.argsort(square, axis=1, kind="stable")[:, :NEAREST]
+        nearest = np.argsort(squared_distances(points, data.shares), axis=1, kind="stable")[:, :NEAREST]
         means = self.fit.mean(data, points)
         noise = residuals[nearest].reshape(len(points), -1)
         noise = noise - noise.mean(axis=1, keepdims=True) if measured.noisy else np.zeros((len(points), 1))

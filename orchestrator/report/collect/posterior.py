@@ -9,6 +9,7 @@ from ....schemas.values import Band, Bound
 from ...campaign.methods import PartMethod, method
 from ...campaign.observation import of_requirement
 from ...campaign.plan import ProblemPlan, plans
+from ...mathematics.blocks import blocks
 from ...mathematics.bounds.rigorous.method import RigorousMethod
 from ...mathematics.gp.kernels import Floats
 from ...mathematics.gp.lattice import Lattice
@@ -71,9 +72,11 @@ def _check_starts(plan: ProblemPlan, x: Floats) -> None:
 def _at_candidates(band: Band, plan: ProblemPlan, x: Floats) -> tuple[Floats, Floats, Floats]:
     nodes = plan.chosen_from.nodes
     span = np.maximum(nodes.max(axis=0) - nodes.min(axis=0), 1e-300)
-    distance = np.max(np.abs(x[:, None, :] - nodes[None, :, :]) / span, axis=2)  # (N, m)
-    index = np.argmin(distance, axis=1)
-    away = distance[np.arange(len(x)), index] > NEAR
+    index, nearest = np.empty(len(x), dtype=np.intp), np.empty(len(x))
+    for part in blocks(len(x), nodes.size):
+        distance = np.max(np.abs(x[part, None, :] - nodes[None, :, :]) / span, axis=2)  # (N, m)
+        index[part], nearest[part] = np.argmin(distance, axis=1), np.min(distance, axis=1)
+    away = nearest > NEAR
     if away.any():
         raise PerfboundError(
             f"x: {x[int(np.argmax(away))].tolist()} is no candidate; method {plan.problem.method!r} has the band of "

@@ -9,6 +9,7 @@
 |        | `offsets` | 0 or 1 for every axis: the corners of a cell             | (2^p, p) | -  |
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -16,13 +17,22 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from ...blocks import blocks
 from ...gp.kernels import Floats
 from .envelope import Envelope
 
 Integers = NDArray[np.intp]
 
 CHUNK = 4096
-"""Cells per matrix product: bounds the memory."""
+"""Cells that are bounded together: bounds the memory."""
+MOST_CORNERS = 2**20
+"""Corners of these, each counted for every cell that has it: of more than eight parameters the cells are fewer."""
+
+
+def chunks(cells: Integers) -> Iterator[slice]:
+    """Yield the slices of the cells (N, p) that are bounded together."""
+    size = max(1, min(CHUNK, MOST_CORNERS >> cells.shape[1]))
+    return (slice(start, start + size) for start in range(0, len(cells), size))
 
 
 @dataclass(frozen=True)
@@ -60,6 +70,9 @@ def bounded(envelope: Envelope, cells: Integers, grid: CellGrid) -> tuple[Floats
     centres, half = grid.centres(cells), grid.spacing / 2.0
     # nu <= 2: a function of the ball need not have a second derivative, but the edge of the band has a bound.
     if not np.isfinite(envelope.radial.bend):
-        return envelope.over(centres, half, np.where(grid.offsets > 0, 1.0, -1.0))
+        signs = np.where(grid.offsets > 0, 1.0, -1.0)
+        parts = [envelope.over(centres[part], half, signs) for part in blocks(len(cells), envelope.points.size)]
+        corners, rest, values = (np.concatenate(each) for each in zip(*parts, strict=True))
+        return corners, rest, values
     points, inverse = grid.corners(cells)
     return envelope.at(points)[0][inverse], envelope.rest(half), envelope.at(centres)[0]

@@ -32,10 +32,12 @@ linear plus a rest that is quadratic in h. Near the data sigma(c) is small, and 
 at c.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...blocks import blocks
 from ...gp.kernels import Floats, scaled
 from ...gp.radial import Radial
 from ...gp.spectrum import Spectrum
@@ -73,11 +75,17 @@ class Envelope:
 
     def at(self, z: Floats) -> tuple[Floats, Floats]:
         """Return (upper, lower) at the points `z` (N, p), which need not be candidates."""
-        return self.limits(*self.moments_at(z))
+        return _joined([self.limits(*moments) for moments in self._moments_of_blocks(z)])
 
     def moments_at(self, z: Floats) -> tuple[Floats, Floats]:
         """Return mu_a and sigma_a, (N, A) each, at the points `z` (N, p); see `moments`."""
-        return self.moments(self.radial.value(_lengths(self._differences(z))))
+        return _joined(list(self._moments_of_blocks(z)))
+
+    def _moments_of_blocks(self, z: Floats) -> Iterator[tuple[Floats, Floats]]:
+        # The differences have p numbers for each pair of an observed point and one of z.
+        for part in blocks(len(z), max(self.points.size, self.a.size)):
+            kernel = self.radial.value(_lengths(self._differences(z[part])))
+            yield self._moments(self.spectrum.projector @ kernel)
 
     def scaled(self, factor: float) -> "Envelope":
         """Return the band of `factor` times the objective, factor > 0: everything in the unit of J is multiplied."""
@@ -101,8 +109,11 @@ class Envelope:
         The first-order effect of the round-off `error` in the matrix, |d mu| <= error |u/(e + a)| |W/(e + a)| and
         d sigma^2 <= error |W/(e + a)|^2, is added to sigma: without it a tiny a would be too good to be true.
         """
-        w = self.spectrum.projector @ kernel  # (q, N)
-        return self._moments(w)
+        # In blocks of the N, because W and its squares are as large as the kernel.
+        parts = [
+            self._moments(self.spectrum.projector @ kernel[:, part]) for part in blocks(kernel.shape[1], len(kernel))
+        ]
+        return _joined(parts)
 
     def over(self, centres: Floats, half: Floats, signs: Floats) -> tuple[Floats, Floats, Floats]:
         """Bound J over cells by a linear function and a rest: corner values (N, 2^p), rest (N,), upper value at c (N,).
@@ -168,6 +179,12 @@ class Envelope:
     def _differences(self, z: Floats) -> Floats:
         points, z = scaled(self.points, self.radial.axes), scaled(z, self.radial.axes)
         return np.asarray(z[None, :, :] - points[:, None, :], dtype=np.float64)  # (q, N, p)
+
+
+def _joined(parts: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
+    """Return two arrays of all blocks."""
+    first, second = (np.concatenate(each) for each in zip(*parts, strict=True))
+    return first, second
 
 
 def _lengths(difference: Floats) -> Floats:

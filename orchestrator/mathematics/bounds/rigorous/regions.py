@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...gp.kernels import Floats, scaled
-from .cells import CHUNK, CellGrid, Integers, bounded
+from .cells import CellGrid, Integers, bounded, chunks
 from .envelope import Envelope
 
 STATUSES = ("safe", "unsafe", "undecided")
@@ -41,6 +41,8 @@ MOST_HALVINGS = 18
 """The same from three parameters on: 1/64 of each of three."""
 MAX_CELLS = 150_000
 """Cells that one division may examine; what is open then is undecided."""
+MAX_CORNERS = 2**25
+"""Their corners, which decide from eight parameters on."""
 MAX_WORK = 1e11
 """The same in products of numbers: a cell costs the square of the number of observed points; about 10 s."""
 
@@ -90,7 +92,8 @@ def divide(
     Formula: safe where min(U, bound of J over the box) < -margin, unsafe where the bound of -J over the box < -t -
     margin; the bounds are those of eq. (cover), for -J from the mirrored band. D is halved across its longest side in
     length scales, breadth first, until every box is decided or as small as `HALVINGS` allows, or the next halves would
-    exceed `max_cells`, which are fewer for more than 1,000 observed points. Halves of one status are joined again.
+    exceed `max_cells`, which are fewer for more than 1,000 observed points or 7 parameters. Halves of one status are
+    joined again.
 
     Assumptions: those of the confidence set.
     """
@@ -98,7 +101,7 @@ def divide(
     # J <= U on the event that makes the band true, so U decides D without its boxes.
     if upper < -margin:
         return _regions([_Generation(root, np.array([SAFE]), np.ones(len(low), dtype=np.intp), 0)], low, high)
-    affordable = min(max_cells, int(MAX_WORK / max(1, len(envelope.points)) ** 2))
+    affordable = min(max_cells, MAX_CORNERS >> len(low), int(MAX_WORK / max(1, len(envelope.points)) ** 2))
     closed = list(_generations(envelope, low, high, (-margin, -unsafe_above - margin), affordable))
     return _regions(_halves_joined(closed), low, high)
 
@@ -144,8 +147,8 @@ def _judged(envelope: Envelope, cells: Integers, grid: CellGrid, limits: tuple[f
     """Return the status of every cell, (N,)."""
     mirrored = envelope.mirrored()
     status = np.full(len(cells), UNDECIDED)
-    for start in range(0, len(cells), CHUNK):
-        part = cells[start : start + CHUNK]
+    for chunk in chunks(cells):
+        part = cells[chunk]
         upper, lower = envelope.at(grid.centres(part))
         # What the centre does not show, no bound of the whole cell can show: most cells cost their centre alone.
         for kind, band, worst, limit in ((SAFE, envelope, upper, limits[0]), (UNSAFE, mirrored, -lower, limits[1])):
@@ -154,7 +157,7 @@ def _judged(envelope: Envelope, cells: Integers, grid: CellGrid, limits: tuple[f
                 corners, rest, _ = bounded(band, part[hopeful], grid)
                 # The edges of a box are rounded to doubles; the bound of the cell changes by far less than the margin.
                 proven = corners.max(axis=1) + rest < limit
-                status[start + hopeful[proven]] = kind
+                status[chunk.start + hopeful[proven]] = kind
     return status
 
 
