@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from perfbound.orchestrator.mathematics.blocks import ALIGNED, blocks
-from perfbound.orchestrator.mathematics.bounds.rigorous import box_maximum, cells, envelope
+from perfbound.orchestrator.mathematics.bounds.rigorous import box_maximum, cells, envelope, regions
 from perfbound.orchestrator.mathematics.bounds.rigorous.cells import CHUNK, MOST_CORNERS, chunks
 from perfbound.orchestrator.mathematics.bounds.rigorous.confidence import Premises
 from perfbound.orchestrator.mathematics.bounds.rigorous.method import RigorousMethod
@@ -117,3 +117,16 @@ def test_the_table_of_a_lattice_has_a_number_for_each_node() -> None:
     rows = Lattice((0.0,) * 16, (1.0,) * 16, 2).kernel_rows(Matern(2.5, 1.0))
     assert rows._table.size == 2**16
     assert rows.row(5)[2**16 - 1] == rows.row(2**16 - 1)[5]
+
+
+def test_regions_examine_as_many_boxes_as_their_corners_allow(monkeypatch: pytest.MonkeyPatch) -> None:
+    box = Lattice((0.0, 0.0), (1.0, 1.0), 5)
+    method = RigorousMethod(box, Matern(2.5, 1.0), Premises(1.0, 0.0, 0.05, ()), alpha=0.01)
+    for node, value in ((0, -0.3), (24, 0.3), (12, 0.0)):
+        method.recall([(method.proposal_at(node, ()), Observation(value, ()))])
+    low, high = np.array(box.low), np.array(box.high)
+    many = len(regions.divide(method.envelope, low, high).low)
+    monkeypatch.setattr(regions, "MAX_CORNERS", 4 * 100)
+    few = regions.divide(method.envelope, low, high)
+    assert len(few.low) <= 100 < many
+    assert few.of(regions.UNDECIDED) > 0
