@@ -141,15 +141,18 @@ def _listed(units: Sequence[str]) -> str:
 # Which starts of a box the claims are about
 
 
-def scope(plans: Plans) -> Iterator[str]:
-    """Yield a line for the problems that choose among starts of a box; none for a list, which is its own box."""
+def scope(plans: Plans, *, listed_alone: bool = False) -> Iterator[str]:
+    """Yield a line for the problems that choose among starts of a box; none for a list, which is its own box.
+
+    With `listed_alone` there is none either where the claim is about the whole box.
+    """
     # The problems of a campaign have one list or none: the file is checked for that.
     found = [plan for plan in plans.values() if plan.box and plan.candidates is not None]
     if not found:
         return
     names, listed = ", ".join(plan.name for plan in found), found[0].listed
     if listed is None:
-        yield f"{names}: the claim is about every start of the box"
+        yield from [] if listed_alone else [f"{names}: the claim is about every start of the box"]
         return
     count = len(found[0].parameters)
     yield (

@@ -12,6 +12,7 @@ from rich.table import Column, Table
 
 from ....schemas import atomic
 from ....schemas.errors import PerfboundError
+from ...campaign.consistency import scope
 from ...certificate.words.format import duration
 from ...mathematics.calibration.trust import KernelTrial
 from .budget import RANGE, THOUSAND, BudgetForecast
@@ -90,6 +91,8 @@ def closing_lines(found: Calibration, folder: Path) -> Iterator[str]:
         of_config = next(each for each in config.problems if each.name == problem.name)
         if words := forecast_margin_words(config, of_config, guess.bound, guess.fitted):
             yield f"{problem.name}: {words}"
+    if found.trusted:
+        yield from scope({each.name: each.measured.plan for each in found.problems}, listed_alone=True)
     yield from _other_methods(found)
     yield f"evidence: {folder}/{NUMBERS} and calibration-*.png"
     if found.text is None:

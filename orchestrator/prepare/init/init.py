@@ -20,6 +20,7 @@ from ....schemas.system import SystemSpec, Variant
 from ....schemas.trajectory.trajectory import Floats
 from ...campaign import plan
 from ...campaign.checks import check_new
+from ...campaign.consistency import scope
 from ...certificate.words.format import duration
 from ...fleet.children.child import in_file, named_campaign, resolved, system_spec
 from ...fleet.children.simulate import chosen_horizon
@@ -116,12 +117,14 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
         campaign, news = replace(campaign, basis=constants.of(campaign.basis)), f"the constants are {constants.news}"
     campaign = _reachable(campaign)
     text = campaign_text(campaign)
-    check_new(parse_campaign(text.encode(), str(out)), spec, str(out))
+    written = parse_campaign(text.encode(), str(out))
+    check_new(written, spec, str(out))
     try:
         atomic.write_new({out.absolute(): (text.encode(), 0o666)})
     except FileExistsError:
         raise _exists(out) from None
     yield f"{out}: {news}"
+    yield from scope(plan.plans(written, spec), listed_alone=True)
     yield from _next_steps(wish, campaign, out, failed=bool(fault))
 
 
