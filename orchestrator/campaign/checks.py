@@ -1,13 +1,22 @@
 """All checks of a campaign against its system: `schemas.file.against_system`, and those of the parsed formula."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 
+from ...schemas.amounts import amount
 from ...schemas.errors import CampaignError, check_all
 from ...schemas.file.against_system import check_against
 from ...schemas.file.config import CampaignConfig
+from ...schemas.file.keys import CampaignKeys
+from ...schemas.file.method_spaces import candidates, draws_starts
+from ...schemas.file.parameters import parameter_ranges
+from ...schemas.file.parts import parts_of
+from ...schemas.file.problem_models import KrigingProblem, PaperProblem, Problem
 from ...schemas.file.space import space_kind
 from ...schemas.system import SystemSpec
+from ..mathematics.bounds.cost import BLOCKS, LARGEST_MEMORY, LARGEST_PLAN, MethodSize, most
+from ..mathematics.bounds.kriging.design import points_per_parameter
 from ..mathematics.stl.horizon import check_horizon
 from ..mathematics.stl.parser import FormulaError, columns, parse_formula
 from .objectives import LARGEST
@@ -35,13 +44,18 @@ def check(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
 
 
 def check_new(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
-    """Refuse what `check` refuses, and a clip that hides violations; campaigns that have begun may have one.
+    """Refuse what `check` refuses, and what campaigns that have begun may have: too large a size, and a clip that hides
+    violations.
 
     Raises:
         CampaignError: a line for each fault, with the source, the key and the remedy.
 
     """
-    check_all(partial(check, config, spec, source), partial(_check_new_clip, config, source))
+    check_all(
+        partial(check, config, spec, source),
+        partial(_check_new_clip, config, source),
+        partial(check_sizes, config, source),
+    )
 
 
 def _check_new_clip(config: CampaignConfig, source: str) -> None:
@@ -92,3 +106,108 @@ def _check_gap(config: CampaignConfig, known: Sequence[str], read: frozenset[str
                 f"{source}: gap.column: {gap.column!r} does not bound the robustness: the specification reads "
                 f'{", ".join(sorted(read)) or "no column"}; use kind = "predicate_sup", which fits every specification'
             )
+
+
+# What the methods of a campaign take, before any of it is allocated
+
+
+def method_sizes(config: CampaignConfig, tests: Mapping[str, int] | None = None) -> list[tuple[Problem, MethodSize]]:
+    """Return each problem with the sizes of its method; with several requirements once for each of them.
+
+    `tests` replaces the budget of problems by their names.
+    """
+    return [
+        (problem, _method_size(each, problem, (tests or {}).get(problem.name)))
+        for each in parts_of(config) or (config,)
+        for problem in each.problems
+    ]
+
+
+def _method_size(config: CampaignKeys, problem: Problem, tests: int | None) -> MethodSize:
+    starts, resolution, box = config.starts_of(problem), config.resolution_of(problem), isinstance(config.space, dict)
+    parameters = len(parameter_ranges(config.space)) if isinstance(config.space, dict) else len(config.space.rows[0])
+    tests = tests or config.max_tests_of(problem)
+    return MethodSize(
+        problem.method,
+        parameters,
+        0 if draws_starts(problem.method) else candidates(config.space, resolution, starts),
+        tests,
+        config.window_of(problem),
+        listed=starts is not None or not box,
+        refined=isinstance(problem, PaperProblem) and problem.refine,
+        per_axis=_points(config, problem, parameters, tests) if isinstance(problem, KrigingProblem) else 0,
+    )
+
+
+def _points(config: CampaignKeys, problem: KrigingProblem, parameters: int, tests: int) -> int:
+    default = points_per_parameter(parameters, tests, config.replicates_of(problem))
+    return problem.points or min(default, config.resolution_of(problem))
+
+
+def check_sizes(config: CampaignConfig, source: str, tests: Mapping[str, int] | None = None) -> None:
+    """Refuse a campaign whose methods may take more memory than is allowed, or plan their weights for too long.
+
+    `tests` as of `method_sizes`.
+
+    Raises:
+        CampaignError: a line for each problem that is too large, with the key, what it takes, and smaller sizes.
+
+    """
+    found = method_sizes(config, tests)
+    share = (LARGEST_MEMORY - BLOCKS) / max(1, len(found))
+    too_much = sum(size.memory for _, size in found) + BLOCKS > LARGEST_MEMORY
+    lines: dict[str, str] = {}
+    for problem, size in found:
+        where, parts = f"{source}: problems.{problem.name}", sum(each.name == problem.name for each, _ in found)
+        if too_much and size.memory > share:
+            several = "" if parts == 1 else f" for {parts} requirements"
+            lines[problem.name] = (
+                f"{where}.max_tests: {size.tests:,} tests{several} and {size.candidates:,} candidates may take "
+                f"{amount(parts * size.memory)}, and the methods of a campaign at most {amount(LARGEST_MEMORY)}; "
+                f"{_smaller(config, problem, size, lambda each: each.memory <= share, tests_alone=tests is not None)}"
+            )
+        elif size.method == "kriging" and size.operations > LARGEST_PLAN:
+            lines[problem.name] = (
+                f"{where}.points: {size.per_axis} for each of {size.parameters} parameters, with {size.candidates:,} "
+                f"nodes, take {size.seconds / 3600:.2g} h for one plan of their weights, and the orchestrator does "
+                "nothing else meanwhile; "
+                f"{_smaller(config, problem, size, lambda each: each.operations <= LARGEST_PLAN)}"
+            )
+    if lines:
+        raise CampaignError(*lines.values())
+
+
+def _smaller(
+    config: CampaignKeys,
+    problem: Problem,
+    size: MethodSize,
+    fits: Callable[[MethodSize], bool],
+    *,
+    tests_alone: bool = False,
+) -> str:
+    """Return the ways in which a method gets small enough, each a key with its value."""
+    resolution, ways = config.resolution_of(problem), []
+    if isinstance(problem, KrigingProblem):
+        points = most(size.per_axis, lambda number: fits(replace(size, per_axis=number)))
+        ways += [f"points = {points}"] if points > 1 else []
+    elif tests := most(size.tests, lambda number: fits(replace(size, tests=number))):
+        ways.append(f"max_tests = {_two_digits_down(tests)}")
+    if tests_alone:  # the other sizes of a campaign that has begun are fixed
+        return f"give {' or '.join(ways) or 'no more tests'}"
+    if size.listed:
+        starts = most(size.candidates, lambda number: fits(replace(size, candidates=number)))
+        ways += [f"candidates = {_two_digits_down(starts)}"] if isinstance(config.space, dict) and starts > 1 else []
+    else:
+        nodes = most(resolution, lambda number: fits(replace(size, candidates=number**size.parameters)))
+        ways += [f"resolution = {nodes}"] if nodes > 1 and nodes >= size.per_axis else []
+    return f"give {' or '.join(ways)}" if ways else "choose fewer requirements"
+
+
+def _two_digits_down(number: int) -> int:
+    """Return a number rounded down to two digits.
+
+    >>> _two_digits_down(3412), _two_digits_down(87)
+    (3400, 87)
+    """
+    step: int = 10 ** max(0, len(str(number)) - 2)
+    return number // step * step

@@ -8,6 +8,7 @@ from rich.text import Text
 from ...schemas.errors import CampaignError
 from ...schemas.result.certificate import Certificate
 from ...schemas.result.facts import ExtensionFact
+from ..campaign.checks import check_sizes
 from ..campaign.extension import extension, extension_words, is_extension_to
 from ..campaign.ledger import Ledger
 from ..certificate import files
@@ -51,6 +52,7 @@ def extend_campaign(directory: Path, journal: Journal, max_tests: int) -> Extens
         raise CampaignError(f"{directory}: has a certificate, but its tests have not ended; restore it from a copy")
     try:
         fact = extension(ledger.accounts, ledger.closing, len(ledger.extensions) + 1, max_tests)
+        check_sizes(ledger.config, f"--max-tests {max_tests}", dict(fact.budgets))
     except CampaignError as error:
         raise CampaignError(f"{directory}: cannot be extended: {error}") from None
     _refuse_refuted(directory, certificate)

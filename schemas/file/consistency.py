@@ -6,7 +6,15 @@ from functools import partial
 from .composition import PAIR, ComposedClaim, Rule, composed_claims
 from .drawn_claims import SAMPLED, UP_TO_CHANCE, ClaimRequest, DrawnClaim, drawn_claims, fewest_samples
 from .keys import CampaignKeys
-from .method_spaces import LATTICE_PARAMETERS, check_region, check_space, check_starts, draws_starts
+from .method_spaces import (
+    LATTICE_PARAMETERS,
+    check_lattice,
+    check_region,
+    check_space,
+    check_starts,
+    draws_starts,
+    largest_resolution,
+)
 from .objectives import CLAIMS, OBJECTIVES, OF_ROBUSTNESS, ProblemName, any_of
 from .parameters import check_signals, parameter_ranges
 from .parts import parts_of
@@ -159,7 +167,10 @@ def _check_method(config: CampaignKeys, problem: Problem) -> None:
     where = f"problems.{problem.name}"
     if config.candidates is not None:
         check_starts(problem.method, config.space, config.candidates)
-    check_space(problem.method, config.space, config.resolution_of(problem), config.starts_of(problem), where)
+    check_space(problem.method, config.space, where)
+    if isinstance(config.space, dict) and config.starts_of(problem) is None and not draws_starts(problem.method):
+        resolution = config.resolution_of(problem)
+        check_lattice(problem.name, problem.method, config.space, resolution, where, regions=config.regions)
     if config.where is not None:
         check_region(problem.method, config.space)
     if isinstance(problem, KrigingProblem):
@@ -175,11 +186,6 @@ def _check_method(config: CampaignKeys, problem: Problem) -> None:
 
 def _check_design(config: CampaignKeys, problem: KrigingProblem, where: str) -> None:
     """Refuse what a design cannot be planned for."""
-    assert isinstance(config.space, dict), "the space is checked before"
-    if len(parameter_ranges(config.space)) > LATTICE_PARAMETERS:
-        raise ValueError(
-            f"{where}.method: 'kriging' is for at most {LATTICE_PARAMETERS} parameters; choose 'rigorous' or 'sample'"
-        )
     if config.falsify is not None:
         raise ValueError(
             "falsify: method 'kriging' plans every start beforehand; remove this key, or choose 'rigorous'"
@@ -343,9 +349,21 @@ def check_regions(config: CampaignKeys) -> None:
     if space_kind(config.space) != "box":
         raise ValueError("regions: a list of starts has no regions; give low and high per parameter under [space]")
     if config.where is not None or config.starts_of(first) is not None:
-        raise ValueError(
-            "regions: only a whole box with a lattice is divided; remove `where` and `candidates`, and with more than "
-            "three parameters give `resolution`"
-        )
+        raise ValueError(f"regions: only a whole box with a lattice is divided; {_with_a_lattice(config, first)}")
     if clip is not None and not clip[0] < 0 < clip[1]:
         raise ValueError(f"clip: {list(clip)} must contain 0 inside with regions, or it decides the sign everywhere")
+
+
+def _with_a_lattice(config: CampaignKeys, problem: Problem) -> str:
+    """Return what gives a box of fixed starts a lattice."""
+    assert isinstance(config.space, dict), "the space is checked before"
+    parameters = len(parameter_ranges(config.space))
+    fitting = largest_resolution(problem.method, parameters)
+    if fitting < 2:
+        return f"{parameters} parameters have none, remove regions"
+    given = [f"`{key}`" for key in ("where", "candidates") if getattr(config, key) is not None]
+    ways = [f"remove {' and '.join(given)}"] if given else []
+    # Of few parameters there is one without the key; another number than the default is a wish for one.
+    if parameters > LATTICE_PARAMETERS and config.resolution_of(problem) > fitting:
+        ways.append(f"with {parameters} parameters give resolution = {fitting} or less")
+    return ", and ".join(ways)

@@ -8,7 +8,7 @@ from ..base import Model
 from ..ranges import LARGEST_BATCH
 from .composition import ComposedClaim, Rule, is_composed
 from .drawn_claims import SAMPLED, ClaimRequest, DrawnClaim, drawn_claims
-from .method_spaces import MOST_STARTS, RESOLUTION, fixed_starts
+from .method_spaces import MAX_CANDIDATES, MOST_STARTS, RESOLUTION, fixed_starts
 from .objectives import OBJECTIVES, Sense
 from .problem_models import Falsify, Gap, Problem, SampleProblem
 from .requirements import MOST, Requirement, conjunction
@@ -25,7 +25,9 @@ class CampaignSize(Model):
     seed: int = Field(default=1, ge=0, lt=2**53, description="other seeds for the same campaign; `--seed` overrides it")
     window: int = Field(default=1, ge=1, le=10_000, description="tests in flight per problem")
     replicates: int = Field(default=1, ge=1, le=100_000, description="rollouts per test and variant")
-    resolution: int = Field(default=RESOLUTION, ge=2, description="lattice nodes per parameter")
+    resolution: int = Field(
+        default=RESOLUTION, ge=2, description=f"lattice nodes per parameter; at most {MAX_CANDIDATES:,} in all"
+    )
     max_tests: int = Field(default=2000, ge=1, le=1_000_000, description="largest number of tests per problem")
 
     def window_of(self, problem: Problem) -> int:

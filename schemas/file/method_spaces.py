@@ -3,12 +3,14 @@
 A method that draws its starts takes distributions and a table; every check of this follows from its row.
 """
 
+from bisect import bisect_right
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from .objectives import MethodName, any_of
+from ..amounts import amount
+from .objectives import OBJECTIVES, MethodName, ProblemName, any_of
 from .parameters import parameter_ranges
-from .space import MAX_SCENARIOS, Space, SpaceKind, space_kind
+from .space import MAX_SCENARIOS, Box, Space, SpaceKind, space_kind
 
 SPACES: Mapping[MethodName, tuple[SpaceKind, ...]] = {
     "paper": ("box",),
@@ -20,7 +22,9 @@ SPACES: Mapping[MethodName, tuple[SpaceKind, ...]] = {
 }
 """The kinds of `[space]`; the first one is what an error asks for."""
 MAX_CANDIDATES = 100_000
-"""Nodes of the largest lattice; memory is O(tests x nodes)."""
+"""Nodes of the largest lattice: every test at another one keeps a number for each node, 0.8 MB."""
+MOST_PRINTED = 10**12
+"""From so many nodes on messages have their number as a power."""
 RESOLUTION = 21
 """Lattice nodes per parameter, by default."""
 NODES: Mapping[MethodName, int] = {"kriging": 10_000}
@@ -98,22 +102,71 @@ def check_starts(method: MethodName, space: Space, chosen: int) -> None:
         raise ValueError(f"candidates: {chosen} is not allowed: method {method!r} takes at most {known.most}")
 
 
-def check_space(method: MethodName, space: Space, resolution: int, starts: int | None, where: str) -> None:
-    """Refuse a space that the method of the problem at `where` does not take, or a lattice that is too large.
+def largest_resolution(method: MethodName, parameters: int) -> int:
+    """Return the most nodes per parameter of a lattice of a method; 1 where no lattice is small enough.
+
+    >>> [largest_resolution("paper", parameters) for parameters in (1, 4, 5, 6, 16, 17)]
+    [100000, 17, 10, 6, 2, 1]
+    """
+    most = NODES.get(method, MAX_CANDIDATES)
+    return bisect_right(range(1, most + 1), most, key=lambda resolution: resolution**parameters)
+
+
+def check_lattice(
+    problem: ProblemName, method: MethodName, box: Box, resolution: int, where: str, *, regions: bool
+) -> None:
+    """Refuse a lattice that is too large for the method of the problem at `where`, before anything of it is made.
+
+    Raises:
+        ValueError: one line with the key, the size, and every remedy that this campaign allows.
+
+    """
+    parameters, most = len(parameter_ranges(box)), NODES.get(method, MAX_CANDIDATES)
+    # First: a smaller lattice would be refused for this reason.
+    if method == "kriging" and parameters > LATTICE_PARAMETERS:
+        raise ValueError(
+            f"{where}.method: 'kriging' is for at most {LATTICE_PARAMETERS} parameters, not {parameters}; choose "
+            f"{without_lattice(problem)}"
+        )
+    fitting = largest_resolution(method, parameters)
+    if resolution <= fitting:
+        return
+    nodes = resolution**parameters
+    number, memory = f"{resolution}^{parameters}", "more memory than there is"
+    if nodes < MOST_PRINTED:
+        number, memory = f"{nodes:,}", f"{amount(8 * nodes)} for each start that is tested"
+    ways = [f"give resolution = {fitting}"] if fitting > 1 else []
+    if method in FIXED_STARTS and not (regions and ways):
+        first = "remove regions and " if regions else ""
+        ways.append(f"{first}give candidates = {FIXED_STARTS[method].default} for a claim about so many fixed starts")
+    if method not in FIXED_STARTS and parameters > LATTICE_PARAMETERS:
+        ways.append(f"choose a method without a lattice: {without_lattice(problem)}")
+    raise ValueError(
+        f"{where}.resolution: {resolution} for each of {parameters} parameters are {number} lattice nodes, more than "
+        f"the {most:,} allowed, and take {memory}; {', or '.join(ways)}"
+    )
+
+
+def without_lattice(problem: ProblemName) -> str:
+    """Return the methods of a problem that take ranges without a lattice, as a choice.
+
+    >>> without_lattice("robustness").partition(" or ")[0], without_lattice("sim_gap")
+    ("'scenario', 'sample'", "'rigorous' with candidates = 4096")
+    """
+    others = [repr(name) for name in ("scenario", "sample") if name in OBJECTIVES[problem].methods]
+    # With a resolution of the file it has a lattice, too.
+    rigorous = f"'rigorous' with candidates = {FIXED_STARTS['rigorous'].default}"
+    return " or ".join(filter(None, (", ".join(others), rigorous)))
+
+
+def check_space(method: MethodName, space: Space, where: str) -> None:
+    """Refuse a space that the method of the problem at `where` does not take.
 
     Raises:
         ValueError: it does not; one line with the key and the remedy.
 
     """
     kind = space_kind(space)
-    nodes, most = (
-        0 if draws_starts(method) else candidates(space, resolution, starts),
-        NODES.get(method, MAX_CANDIDATES),
-    )
-    if kind in SPACES[method] and nodes > most:
-        raise ValueError(
-            f"{where}.resolution: {nodes:,} lattice nodes are more than the {most:,} allowed; lower `resolution`"
-        )
     if kind in SPACES[method]:
         return
     drawing = tuple(name for name in SPACES if draws_starts(name))

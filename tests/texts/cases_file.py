@@ -29,6 +29,7 @@ from tests.unit.campaign import (
     test_sample,
     test_starts,
 )
+from tests.unit.prepare.plan import test_sizes
 from tests.unit.schemas.file import test_reader, test_signal_spaces, test_space
 
 
@@ -133,6 +134,16 @@ def _regions() -> Cases:
         yield f"where: {text} (share)", refusal(functools.partial(check_where, region.BOX, text, "c.toml"))
     starts = test_starts
     yield from refusals("candidates", starts.test_what_is_refused, _parsed)
+    sizes = test_sizes
+    for method, parameters, changes in (("paper", 6, {}), ("paper", 12, {}), ("rigorous", 40, {"resolution": 2})):
+        line = sizes.refusal(sizes.table(method, parameters, **changes), parameters)
+        yield f"a lattice of {parameters} parameters, method {method}", line or ""
+    for parameters, resolution, _ in rows(sizes.test_regions_have_a_way_out_too):
+        line = sizes.refusal(sizes.with_regions(parameters, resolution), parameters)
+        yield f"regions of {parameters} parameters, resolution {resolution}", line or ""
+    for number, (found, parameters, _) in enumerate(sizes.LARGE):
+        yield f"what a campaign takes {number}", sizes.refusal(found, parameters) or "accepted"
+    yield "what 50 requirements take", sizes.refusal(sizes.with_requirements(50), 6) or ""
 
 
 def _parsed(text: str) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 from rich.console import Console
 
+from perfbound.orchestrator.prepare.calibrate.calibrate import check_effort
 from perfbound.orchestrator.prepare.calibrate.constants import forecast_margin_words
 from perfbound.orchestrator.prepare.calibrate.file import kernel_file, sample_file
 from perfbound.orchestrator.prepare.check_system.findings import OF_PROGRAM, SYSTEM_CHECKS, SystemFinding
@@ -17,6 +18,7 @@ from perfbound.orchestrator.prepare.check_system.trials import GROWTH, SEED
 from perfbound.orchestrator.prepare.init.file import campaign_text
 from perfbound.orchestrator.prepare.init.questions import QUESTIONS
 from perfbound.orchestrator.prepare.plan.fleet_need import PilotFigures, fleet_plan
+from perfbound.orchestrator.prepare.plan.plan import long_mathematics
 from perfbound.orchestrator.prepare.plan.text import print_plan
 from perfbound.orchestrator.prepare.size import FirstSize
 from perfbound.schemas.system_check import SampleTimes, Trial
@@ -24,7 +26,7 @@ from tests.texts import Cases, refusal, rows
 from tests.unit.prepare.calibrate import test_constants, test_margin
 from tests.unit.prepare.check_system import test_judge
 from tests.unit.prepare.init import test_file
-from tests.unit.prepare.plan import test_text
+from tests.unit.prepare.plan import test_plan, test_sizes, test_text
 
 MB = test_judge.MB
 
@@ -140,6 +142,7 @@ def calibrate(folder: Path) -> Cases:
     for margin, _ in rows(test_margin.test_a_forecast_bound_is_compared_with_what_is_required):
         config = test_margin.campaign(margin)
         yield f"required_margin = {margin}", forecast_margin_words(config, config.problems[0], -0.4, -0.5)
+    yield "more rollouts than memory allows", refusal(partial(check_effort, 100_000, test_sizes.spec(6)))
     for text, _ in rows(test_constants.test_the_error_of_a_file_that_is_no_draft_names_key_and_remedy):
         yield f"no draft: {text}", refusal(partial(test_constants.read, folder, text))
 
@@ -157,3 +160,4 @@ def plan(_folder: Path) -> Cases:
         print_plan(found, "segway", console)
         assert isinstance(console.file, io.StringIO)
         yield name, console.file.getvalue()
+    yield "long mathematics", "\n".join(long_mathematics(test_plan.LONG))

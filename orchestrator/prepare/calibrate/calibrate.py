@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from ....schemas.amounts import amount
 from ....schemas.errors import PerfboundError, Stopped
 from ....schemas.file.config import CampaignConfig
 from ....schemas.file.draft import Draft, load_draft
@@ -14,11 +15,13 @@ from ....schemas.file.problem_models import KrigingProblem
 from ....schemas.file.reader import parse_campaign
 from ....schemas.system import SystemSpec
 from ...campaign import plan as plans
-from ...campaign.checks import check, check_new
+from ...campaign.checks import check, check_new, check_sizes
 from ...fleet.children.child import system_spec
+from ...mathematics.bounds.cost import LARGEST_MEMORY, calibration_memory, most
 from ..child_rollouts import ChildRolloutError, ChildSystem
 from ..rounded import clip_around
 from .constants import Constant, ProblemCalibration
+from .design import RolloutBudget
 from .file import kernel_file, sample_file, without_keys
 from .forecast import FORECASTS, Forecast, Instead, kriging_instead
 from .pilot import CalibrationPilot
@@ -84,6 +87,8 @@ def calibrate_draft(wish: CalibrationWish, report: Report) -> Calibration:
     reference = config.system.reference(wish.campaign)
     spec = system_spec(reference, f"{source}: system.name").spread(signal_shapes(config.space))
     (check if draft.clip is None else check_new)(config, spec, source)
+    check_sizes(config, source)
+    check_effort(wish.rollouts, spec)
     system = ChildSystem(reference, spec, config.deadline, SECONDS)
     effort = Effort(wish.rollouts, wish.seed, wish.workers)
     try:
@@ -93,6 +98,25 @@ def calibrate_draft(wish: CalibrationWish, report: Report) -> Calibration:
     except Stopped as stop:
         raise Stopped(stop.signal, "the calibration was ended, nothing was written") from None
     return with_file(Calibration(wish, draft, spec, found.clip, found.problems, (), None, violations=found.violations))
+
+
+def check_effort(rollouts: int, spec: SystemSpec) -> None:
+    """Refuse more starts than kernel matrices have room for, before any of them is simulated.
+
+    Raises:
+        PerfboundError: there are.
+
+    """
+
+    def memory(number: int) -> float:
+        return calibration_memory(RolloutBudget.of(number, noisy=bool(spec.noisy)).starts)
+
+    if memory(rollouts) > LARGEST_MEMORY:
+        fewer = most(rollouts, lambda number: memory(number) <= LARGEST_MEMORY) // 1000 * 1000
+        raise PerfboundError(
+            f"--rollouts {rollouts}: the kernel matrices of their starts take {amount(memory(rollouts))}, and "
+            f"{amount(LARGEST_MEMORY)} are allowed; choose at most --rollouts {fewer}"
+        )
 
 
 @dataclass(frozen=True, slots=True)

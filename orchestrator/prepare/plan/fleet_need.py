@@ -87,8 +87,8 @@ class ProblemSize:
     basis: str
     thinking: Guess = NOTHING
     """Seconds of its mathematics in all."""
-    matrix: tuple[int, int] = (0, 0)
-    """Numbers that a test adds to the matrices of the method at most: those for each test before it, and the others."""
+    matrices: Guess = NOTHING
+    """Bytes of the matrices of its method: none, half of what its tests may take, what the most tests may take."""
 
     @property
     def rollouts(self) -> Guess:
@@ -150,6 +150,8 @@ class FleetPlan:
     network: float
     """Bytes per second into the router, and out of it."""
     load: Load
+    notes: tuple[str, ...] = ()
+    """What else is to be known before the campaign, in sentences."""
 
 
 def fleet_plan(
@@ -313,20 +315,12 @@ def orchestrator_load(workers: int, pilot: PilotFigures, useful: int, hung_after
 
 
 def orchestrator_memory(problems: Sequence[ProblemSize], rollouts: Guess) -> Guess:
-    """Return the memory of the orchestrator: a base, each rollout, and the matrices of the methods at their largest.
-
-    A matrix is counted half in the middle of the range: a method keeps distinct starts alone.
-    """
-    largest = 0.0
-    middle = 0.0
-    for each in problems:
-        grows, fixed = each.matrix
-        largest += 8 * each.tests.high * (grows * each.tests.high + fixed)
-        middle += 8 * each.tests.middle * (grows * each.tests.middle + fixed) / 2
+    """Return the memory of the orchestrator: a base, each rollout, and the matrices of the methods."""
+    matrices = _added([each.matrices for each in problems])
     return Guess(
-        BASE_BYTES + middle + ROLLOUT_BYTES * rollouts.middle,
-        0.5 * BASE_BYTES,
-        1.5 * BASE_BYTES + 2 * largest + 2 * ROLLOUT_BYTES * rollouts.high,
+        BASE_BYTES + matrices.middle + ROLLOUT_BYTES * rollouts.middle,
+        0.5 * BASE_BYTES + matrices.low,
+        1.5 * BASE_BYTES + matrices.high + 2 * ROLLOUT_BYTES * rollouts.high,
     )
 
 

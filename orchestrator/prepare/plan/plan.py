@@ -1,34 +1,37 @@
 """`perfbound plan`: a pilot of ten rollouts in one child process, and what the campaign will need from a fleet."""
 
+import math
 import os
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
 from ....schemas.errors import PerfboundError, Stopped, TrajectoryError
 from ....schemas.file.config import CampaignConfig
-from ....schemas.file.problem_models import KernelProblem
 from ....schemas.ids import RECHECK, SPOT_CHECK, RolloutId
 from ....schemas.result.facts import Header
 from ....schemas.rollout import RolloutRequest
 from ....schemas.trajectory.trajectory import Trajectory
 from ....schemas.values import Guess
 from ...campaign.admission import check_whole
-from ...campaign.checks import check_new
+from ...campaign.checks import check_new, method_sizes
 from ...campaign.closing.recheck import Recheck
 from ...campaign.closing.spot_check import spot_check_plan
+from ...campaign.consistency import scope
 from ...campaign.plan import Plans, ProblemPlan, plans
 from ...campaign.region import Start
 from ...campaign.seeds import drawn
 from ...campaign.starts import Draws
+from ...certificate.words.format import duration
 from ...fleet.children.child import system_spec
+from ...mathematics.bounds.cost import MethodSize
 from ...mathematics.gp.points import point_at
 from ..calibrate.design import calibration_seed
 from ..child_rollouts import ChildRolloutError, ChildSystem, finished, peak_memory, simulate_in_child
-from .fleet_need import NOTHING, FleetPlan, PilotFigures, ProblemSize, fleet_plan
+from .fleet_need import FleetPlan, PilotFigures, ProblemSize, fleet_plan
 from .rehearsal import REPEATED, PilotRollouts, Rehearsal, expected_tests, rehearsed
 
 ROLLOUTS = 10
@@ -36,6 +39,8 @@ SECONDS = 60.0
 """No rollout of the pilot starts later than this."""
 REHEARSAL = 15.0
 """Seconds of processor time that a problem is rehearsed at most; other work on the machine does not count."""
+LONG = 36_000.0
+"""Seconds of mathematics that are worth a line."""
 NAME = "plan"
 """The place of a problem's name, which no problem has: seeds and starts of a pilot are not those of its campaign."""
 
@@ -68,18 +73,24 @@ def plan_campaign(config: CampaignConfig, source: Path, workers: int, report: Re
         report(f"pilot of {ROLLOUTS} rollouts")
         pilot = _pilot(header, found, ChildSystem(reference, header.spec, config.deadline, SECONDS))
         nearest = PilotRollouts(pilot.starts, pilot.recorded)
-        problems = [_problem_size(plan, _rehearsal(plan, header, nearest, report)) for plan in found.values()]
+        problems = [_problem_size(header, plan, _rehearsal(plan, header, nearest, report)) for plan in found.values()]
     except ChildRolloutError as error:
         raise PerfboundError(f"{source}: {error}") from None
     except Stopped as stop:
         raise Stopped(stop.signal, "the pilot was ended, nothing was written") from None
     checks = tuple(_check_sizes(header, found, problems))
-    return fleet_plan(workers, pilot.figures, problems, checks, config.hung_after, second_opinion=config.second_opinion)
+    fleet = fleet_plan(
+        workers, pilot.figures, problems, checks, config.hung_after, second_opinion=config.second_opinion
+    )
+    return replace(fleet, notes=(*scope(found, listed_alone=True), *long_mathematics(config)))
 
 
 def _rehearsal(plan: ProblemPlan, header: Header, pilot: PilotRollouts, report: Report) -> Rehearsal | None:
     """Return the rehearsal of a problem; None where the trajectories of the pilot do not allow one."""
     if plan.falsify is not None:  # its tests come from a search
+        return None
+    # Its first test waits for the weights.
+    if any(size.method == "kriging" and size.seconds > REHEARSAL for size in _sizes(header, plan)):
         return None
     report(f"rehearsal of {plan.name}")
     try:
@@ -88,21 +99,35 @@ def _rehearsal(plan: ProblemPlan, header: Header, pilot: PilotRollouts, report: 
         return None
 
 
-def _problem_size(plan: ProblemPlan, rehearsal: Rehearsal | None) -> ProblemSize:
+def _problem_size(header: Header, plan: ProblemPlan, rehearsal: Rehearsal | None) -> ProblemSize:
     tests, basis = expected_tests(plan, rehearsal)
-    thinking = NOTHING
+    planning = sum(size.seconds for size in _sizes(header, plan) if size.method == "kriging")
+    thinking = Guess(planning, planning / 2, 2 * planning)
     if rehearsal is not None:
         each = [rehearsal.seconds_for(number) for number in (tests.middle, tests.low, tests.high)]
         thinking = Guess(each[0].middle, each[1].low, each[2].high)
-    return ProblemSize(plan.name, tests, len(plan.rollouts), plan.window, basis, thinking, _matrix_growth(plan))
+    # A method keeps distinct starts alone, and most campaigns return to few.
+    matrices = Guess(_matrices(header, plan, tests.middle) / 2, 0.0, _matrices(header, plan, tests.high))
+    return ProblemSize(plan.name, tests, len(plan.rollouts), plan.window, basis, thinking, matrices)
 
 
-def _matrix_growth(plan: ProblemPlan) -> tuple[int, int]:
-    """Return how much the matrices of a method grow with a test: its factor, and its row of all candidates."""
-    parts = plan.parts or (plan,)
-    kernels = sum(isinstance(each.problem, KernelProblem) for each in parts)
-    candidates = 0 if plan.candidates is None else plan.candidates.size
-    return (kernels, kernels * candidates) if kernels else (0, 0)
+def _sizes(header: Header, plan: ProblemPlan) -> list[MethodSize]:
+    return [size for problem, size in method_sizes(header.config) if problem.name == plan.name]
+
+
+def _matrices(header: Header, plan: ProblemPlan, tests: float) -> float:
+    """Return the bytes that so many tests of a problem may take."""
+    return sum(replace(size, tests=math.ceil(tests)).memory for size in _sizes(header, plan))
+
+
+def long_mathematics(config: CampaignConfig) -> Iterator[str]:
+    """Yield a line for each problem whose mathematics may take the orchestrator long."""
+    for problem, size in method_sizes(config):
+        if size.method != "kriging" and size.seconds > LONG:
+            yield (
+                f"{problem.name}: {size.tests:,} tests, if each is at another of the {size.candidates:,} starts, are "
+                f"about {duration(size.seconds)} of mathematics; a smaller max_tests or resolution takes less"
+            )
 
 
 def _check_sizes(header: Header, found: Plans, problems: Sequence[ProblemSize]) -> Iterator[ProblemSize]:

@@ -1,7 +1,6 @@
 """The plan of a campaign in words: a table of what it needs, each with its range, and what limits it."""
 
 import json
-import math
 from collections.abc import Callable
 from dataclasses import asdict
 
@@ -9,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from ....schemas.amounts import amount
 from ....schemas.values import Guess
 from ...certificate.words.format import duration
 from .fleet_need import FleetPlan, ProblemSize
@@ -96,7 +96,7 @@ def plan_limits(found: FleetPlan) -> list[str]:
             "the time above is with that limit. Fewer workers take as long; several "
             "campaigns, each with its own orchestrator, do not share this limit."
         )
-    return result
+    return [*result, *found.notes]
 
 
 def plan_json(found: FleetPlan, name: str) -> str:
@@ -126,16 +126,6 @@ def _size_row(size: ProblemSize) -> Row:
         _range(size.rollouts, _whole_number),
         f"{size.basis}{per_test}",
     )
-
-
-def amount(number: float) -> str:
-    """Return a number of bytes.
-
-    >>> amount(1488), amount(97_095_680), amount(2.5e12)
-    ('1.49 kB', '97.1 MB', '2.5 TB')
-    """
-    power = min(4, int(math.log10(number) // 3)) if number >= 1 else 0
-    return f"{number / 1000**power:.3g} {('B', 'kB', 'MB', 'GB', 'TB')[power]}"
 
 
 def _range(guess: Guess, word: Callable[[float], str]) -> str:

@@ -234,7 +234,7 @@ class TestFile:
             ),
             (EXACT, {"space": {"scenarios": [[0.0, 0.0], [1.0, 1.0]]}}, "a list of starts has no regions"),
             (EXACT, {"where": "z1 + z2 <= 1"}, "`where`"),
-            (EXACT, {"candidates": 100}, "`where`"),
+            (EXACT, {"candidates": 100}, "`candidates`"),
             (EXACT, {"clip": [0.0, 1.0]}, "clip: [0.0, 1.0] 0"),
             (EXACT | {"name": "maximum", "column": "value"}, {}, "'true_risk' 'robustness'"),
         ],

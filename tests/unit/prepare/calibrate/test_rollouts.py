@@ -1,9 +1,11 @@
 """The division of a calibration's rollouts among child processes, and the choice between two methods."""
 
+import re
 from pathlib import Path
 
 import pytest
 
+from perfbound.orchestrator.prepare.calibrate.calibrate import check_effort
 from perfbound.orchestrator.prepare.calibrate.forecast import Instead
 from perfbound.orchestrator.prepare.calibrate.rollouts import (
     FEWEST_OF_A_CHILD,
@@ -12,9 +14,12 @@ from perfbound.orchestrator.prepare.calibrate.rollouts import (
     StartRollout,
 )
 from perfbound.orchestrator.prepare.child_rollouts import ChildSystem
+from perfbound.schemas.errors import PerfboundError
 from perfbound.schemas.values import Guess
 from perfbound.workers.systems import load_system
 from tests.campaigns import config
+from tests.facts import says
+from tests.unit.prepare.plan.test_sizes import spec
 
 
 class Recorded(CalibrationRollouts):
@@ -44,3 +49,11 @@ def test_a_batch_is_divided_among_as_many_children_as_pay(tmp_path: Path, number
 @pytest.mark.parametrize(("high", "tighter"), [(0.4, True), (0.5, False), (0.6, False)])
 def test_another_method_is_proposed_only_if_the_worse_end_of_its_range_is_better(high: float, tighter: bool) -> None:
     assert Instead("robustness", 100, 0.5, Guess(0.3, 0.2, high), -1).is_tighter is tighter
+
+
+def test_more_starts_than_their_kernel_matrices_have_room_for_are_refused_before_any_is_simulated() -> None:
+    with pytest.raises(PerfboundError) as error:
+        check_effort(100_000, spec(6))
+    (fewer,) = re.findall(r"choose at most --rollouts (\d+)", str(error.value))
+    assert says(str(error.value), f"^--rollouts 100000: GB 8 GB --rollouts {fewer}")
+    check_effort(int(fewer), spec(6))

@@ -1,0 +1,13 @@
+"""Numbers of bytes as text."""
+
+import math
+
+
+def amount(number: float) -> str:
+    """Return a number of bytes.
+
+    >>> amount(1488), amount(97_095_680), amount(2.5e12)
+    ('1.49 kB', '97.1 MB', '2.5 TB')
+    """
+    power = min(4, int(math.log10(number) // 3)) if number >= 1 else 0
+    return f"{number / 1000**power:.3g} {('B', 'kB', 'MB', 'GB', 'TB')[power]}"
