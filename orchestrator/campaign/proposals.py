@@ -69,12 +69,7 @@ class MethodSource:
 
     def propose_block(self, series: Series, tests: range) -> tuple[Integers, Floats]:
         """Return the next tests."""
-        flying = _nodes(series)
-        found = []
-        for _ in tests:
-            found.append(self._method.propose(None, flying))
-            flying.append(found[-1].node)
-        return np.array([each.node for each in found], dtype=np.int64), np.array([each.x for each in found])
+        return self._method.propose_each(len(tests), len(_nodes(series)))
 
     def rival_in_block(self, series: Series, place: int, x: Sequence[float]) -> Proposal | None:
         """Return the proposal of `x` (p,): in a block no test depends on which others are in flight."""
@@ -84,11 +79,8 @@ class MethodSource:
         """Give the observation to the method."""
         assert series.last_proposal is not None
         if isinstance(fact, BlockObservationFact):
-            nodes, bound = series.nodes[-len(fact) :], None
-            for node, each in zip(nodes, fact.each(), strict=True):
-                bound = self._method.observe(Proposal(node, (), None, None, None, None), each.observation)
-            assert bound is not None
-            return bound
+            nodes = np.array(series.nodes[-len(fact) :], dtype=np.int64)
+            return self._method.observe_each(nodes, fact.y, fact.contributions)
         return self._method.observe(series.last_proposal, fact.observation)
 
 

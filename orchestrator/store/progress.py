@@ -28,16 +28,17 @@ _VERSION = "SELECT version FROM schema"
 _HEADER = "SELECT run, name, seed, config, config_sha256, system, software, rules FROM campaign LIMIT 2"
 _ROLLOUTS = "SELECT problem, sum(rollouts) FROM rollouts GROUP BY problem"
 _LAST_BOUNDS = """
-    SELECT bounds.seq, problem, test, upper, lower, stopped_by, F FROM bounds LEFT JOIN tests USING (problem, test)
+    SELECT bounds.seq, problem, test, block, upper, lower, stopped_by, F FROM bounds LEFT JOIN tests USING (problem, test)
     WHERE bounds.seq IN (SELECT max(seq) FROM bounds GROUP BY problem)
 """
 _COURSE = """
     SELECT test + 1, upper, lower, F FROM bounds JOIN tests USING (problem, test) WHERE problem = ?
     AND upper IS NOT NULL AND test IN (SELECT value FROM json_each(?)) ORDER BY test
 """
-_COURSE_OF_BLOCKS = (
-    "SELECT test + 1, upper, lower, NULL FROM bounds WHERE problem = ? AND upper IS NOT NULL ORDER BY test"
-)
+_COURSE_OF_BLOCKS = """
+    SELECT block, test + 1, upper, lower, F FROM bounds LEFT JOIN tests USING (problem, test)
+    WHERE problem = ? AND upper IS NOT NULL ORDER BY test
+"""
 _BATCH = "SELECT total(rollouts) / count(*) FROM rollouts"
 _MARKED = json.dumps([tests - 1 for tests in sorted(MARKED)])
 _EXTENSIONS = "SELECT seq, number, budgets FROM extensions ORDER BY seq"
@@ -185,16 +186,11 @@ def _batch(connection: sqlite3.Connection, header: Header) -> float:
 def _course(
     connection: sqlite3.Connection, problem: str, *, blocks: bool
 ) -> tuple[tuple[int, float, float | None], ...]:
-    rows = connection.execute(_COURSE, [problem, _MARKED]).fetchall()
     if blocks:  # a block is marked where one of its tests is
-        every = connection.execute(_COURSE_OF_BLOCKS, [problem]).fetchall()
-        before = [0, *(row[0] for row in every)]
-        rows += [
-            row
-            for first, row in zip(before, every, strict=False)
-            if not MARKED.isdisjoint(range(first + 1, row[0] + 1))
-        ]
-        rows = sorted({row[0]: row for row in rows}.values())
+        every = connection.execute(_COURSE_OF_BLOCKS, [problem])
+        rows = [row for first, *row in every if not MARKED.isdisjoint(range(first + 1, row[0] + 1))]
+    else:
+        rows = connection.execute(_COURSE, [problem, _MARKED]).fetchall()
     return tuple((tests, upper, distance_after(Bound(upper, lower, None), f)) for tests, upper, lower, f in rows)
 
 

@@ -84,6 +84,10 @@ class JointMethod(Method, Generic[Part]):
             return self.parts[lead].propose(first, pending)
         return self.parts[lead].proposal_at(maximiser(values), pending)
 
+    def propose_each(self, tests: int, pending: int) -> tuple[Integers, Floats]:
+        """Return the next tests, which are the same for every method whose tests no observation decides."""
+        return self.parts[0].propose_each(tests, pending)
+
     def rival(self, x: Sequence[float], pending: Sequence[int] = ()) -> Proposal | None:
         """Return the proposal of `x` (p,) if another CPU could have chosen it as maximiser."""
         lead, values = self._lead, self._acquisition(pending)

@@ -336,6 +336,12 @@ class SampleMethod(Method):
         number = self._count + len(pending)
         return Proposal(number, self._start(number), None, None, None, None)
 
+    def propose_each(self, tests: int, pending: int) -> tuple[Integers, Floats]:
+        """Return the next starts."""
+        first = self._count + pending
+        nodes = np.arange(first, first + tests, dtype=np.int64)
+        return nodes, np.array([self._start(number) for number in nodes.tolist()])
+
     def rival(self, x: Sequence[float], pending: Sequence[int] = ()) -> Proposal | None:
         """Return the proposal of `x` (p,) if another machine could have drawn it."""
         number = self._count + len(pending)

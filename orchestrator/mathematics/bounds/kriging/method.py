@@ -124,10 +124,18 @@ class KrigingMethod(Method):
             ValueError: the design has no more tests.
 
         """
-        test = self._tests + len(pending)
-        if test >= len(self.design.order):
-            raise ValueError(f"the design has {len(self.design.order)} tests, and all of them are made")
-        return self.proposal_at(self.design.nodes[self.design.order[test]], pending)
+        return self.proposal_at(self._next(1, len(pending))[0], pending)
+
+    def propose_each(self, tests: int, pending: int) -> tuple[Integers, Floats]:
+        """Return the next tests of the design; raises as `propose`."""
+        nodes = self._next(tests, pending)
+        return np.array(nodes, dtype=np.int64), np.array([point_at(self.lattice, node) for node in nodes])
+
+    def _next(self, tests: int, pending: int) -> list[int]:
+        first, planned = self._tests + pending, self.design.order
+        if first + tests > len(planned):
+            raise ValueError(f"the design has {len(planned)} tests, and all of them are made")
+        return [self.design.nodes[place] for place in planned[first : first + tests]]
 
     def acquisition(self, pending: Sequence[int]) -> Floats:
         """Return 1 at the next node of the design and 0 elsewhere (m,): no rule may choose another one."""
