@@ -28,7 +28,8 @@ _VERSION = "SELECT version FROM schema"
 _HEADER = "SELECT run, name, seed, config, config_sha256, system, software, rules FROM campaign LIMIT 2"
 _ROLLOUTS = "SELECT problem, sum(rollouts) FROM rollouts GROUP BY problem"
 _LAST_BOUNDS = """
-    SELECT bounds.seq, problem, test, block, upper, lower, stopped_by, F FROM bounds LEFT JOIN tests USING (problem, test)
+    SELECT bounds.seq, problem, test, block, upper, lower, stopped_by, F
+    FROM bounds LEFT JOIN tests USING (problem, test)
     WHERE bounds.seq IN (SELECT max(seq) FROM bounds GROUP BY problem)
 """
 _COURSE = """
