@@ -38,9 +38,11 @@ class Method(Protocol):
     def propose_each(self, tests: int, pending: int) -> tuple[Integers, Floats]:
         """Return candidates (k,) and starts (k, p) of the next k tests, after those in flight; it changes nothing.
 
-        Of methods whose tests no observation decides; the others raise.
+        Raises:
+            TypeError: the method chooses each test by the observations before it.
+
         """
-        raise NotImplementedError
+        raise TypeError(f"{type(self).__name__} chooses each test by the observations before it")
 
     def rival(self, x: Sequence[float], pending: Sequence[int] = ()) -> Proposal | None:
         """Return the proposal of `x` (p,) if another CPU, which rounds differently, could have chosen it."""
