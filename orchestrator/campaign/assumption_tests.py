@@ -8,6 +8,8 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from ...schemas.file.problem_models import RigorousProblem
 from ...schemas.result.facts import Header
 from ...schemas.values import Bound
@@ -17,7 +19,7 @@ from ..mathematics.bounds.checks.stationarity import AdaptiveOrderTest
 from .bounded_parts import bounded_accounts
 from .methods import Methods
 from .plan import ProblemPlan
-from .series import Account
+from .series import Account, Rows
 
 ROUNDING = 1e-9
 """A gap that dominates may be exceeded by so much in the last digits."""
@@ -61,13 +63,18 @@ class OneLaw:
     def _drawn(self) -> bool:
         return self.plan.candidates is None
 
-    def finding(self, nodes: Sequence[int], each: Sequence[Sequence[float]]) -> Finding:
+    def finding(self, nodes: Sequence[int], each: Rows) -> Finding:
         """Take the closed tests that are new, and return the finding about all of them."""
-        for test in range(self.taken, len(nodes)):
-            if self._drawn and not self.plan.is_drawn(test):
-                continue  # a search chose it by the outcomes before
-            for value in each[test][:1] if self._drawn else each[test]:
-                self._order.observe(0 if self._drawn else nodes[test], test, value)
+        tests = range(self.taken, len(nodes))
+        if self._drawn:
+            values = each.firsts(self.taken)
+            # A search chose the others by the outcomes before.
+            taken = np.fromiter(map(self.plan.is_drawn, tests), np.bool_, len(tests))
+            self._order.observe_each(0, np.array(tests)[taken], values[taken])
+        else:
+            for test in tests:
+                for value in each[test]:
+                    self._order.observe(nodes[test], test, value)
         self.taken = len(nodes)
         return self._order.finding()
 

@@ -47,14 +47,21 @@ def copies(account: Account, noisy: Set[str], load: Load) -> tuple[int, int]:
     `noisy` are the variants of the problem that depend on the seed. Copies have equal values, so the files of all other
     rollouts need not be read.
     """
+    is_drawn = account.plan.candidates is None  # each start is that of one test
+    if is_drawn and account.plan.replicates == 1:
+        return 0, 0
     seen: dict[tuple[int, float], RolloutId] = {}
     compared = found = 0
     for node, values, rollouts in _closed_tests(account, noisy):
         for value, rollout in zip(values, rollouts, strict=True):
             earlier = seen.setdefault((node, value), rollout)
-            if earlier != rollout and compared < MOST:
+            if earlier != rollout:
                 compared += 1
                 found += same_trajectory(load(earlier), load(rollout))
+            if compared == MOST:
+                return compared, found
+        if is_drawn:
+            seen.clear()
     return compared, found
 
 

@@ -63,6 +63,11 @@ class Scored:
     batch: Batch
     scores: BatchScores
 
+    @property
+    def rollouts(self) -> int:
+        """The number of those that have a trajectory."""
+        return len(self.batch) - len(self.scores.failures)
+
 
 class Ledger:
     """The campaign of one run directory; use from one thread, and write inside `transaction` only."""
@@ -98,6 +103,8 @@ class Ledger:
         self._files: FileStore = files or evidence.Batch()
         self._template, self._restoration = header.template, Restoration(directory)
         self._requests: dict[RolloutId, RolloutRequest | BatchRequest] = {}
+        self.arrived = 0
+        """Rollouts with a trajectory that `record` has taken; a replay has none."""
 
     @property
     def done(self) -> bool:
@@ -196,6 +203,7 @@ class Ledger:
         """
         request = self.request(rollout)
         del self._requests[rollout]
+        self.arrived += found.rollouts if isinstance(found, Scored) else 1
         if rollout in self._restoration:
             # No fact: it has been recorded. The campaign continues when the last damaged file is back.
             self._restoration.restore(rollout, payload, self._files)

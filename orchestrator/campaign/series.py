@@ -74,6 +74,14 @@ class Rows(Sequence[tuple[float, ...]]):
         self._values.frombytes(np.ascontiguousarray(rows).tobytes())
         self._ends.extend(range(first + width, first + rows.size + 1, width) if width else [first] * len(rows))
 
+    def firsts(self, start: int) -> NDArray[np.float64]:
+        """Return the first number of each row from `start` on (k,); of an empty row it is NaN."""
+        ends, values = np.frombuffer(self._ends, np.int64), np.frombuffer(self._values)
+        found = np.full(len(self) - start, np.nan)
+        begins, filled = ends[start:-1], ends[start:-1] < ends[start + 1 :]
+        found[filled] = values[begins[filled]]
+        return found
+
     def __len__(self) -> int:
         return len(self._ends) - 1
 

@@ -4,9 +4,11 @@ An expectation below the required margin at some start also shows that a risk is
 needs smoothness or a kernel.
 """
 
-import json
+import itertools
 import math
-from collections.abc import Callable, Iterable, Mapping
+import struct
+from array import array
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from ...schemas.file.config import CampaignConfig
@@ -18,7 +20,7 @@ from ...schemas.result.known import ByRollouts, VerdictWord, Violations
 from ..campaign.clip import SAME, hiding, reach_of
 from ..mathematics.bounds.checks.counter_evidence import OppositeTest
 from ..store.export_tables import robustness_unit
-from ..store.robustness import RolloutValue
+from ..store.robustness import ObservedValues
 from .words.bound_text import clip_words, if_they_hold, margin_text, outward, parameter_units
 from .words.refutation_text import margin_words, named_start
 from .words.text import claim_words
@@ -34,7 +36,9 @@ SAY_LIMIT = "name it with the key `required_at_most`; the bound stays the same."
 """What to do about the largest acceptable value, where the file names none."""
 OF_ROLLOUTS = ("reproducible_rollouts", "independent_rollouts", "one_law_per_start")
 """Assumptions without which rollouts show nothing of a start."""
-Values = Iterable[RolloutValue]
+Values = Iterable[ObservedValues]
+ByStart = Iterable[tuple[bytes, Sequence[float]]]
+"""The start of each test, and the robustness of its rollouts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +134,7 @@ def is_deterministic(header: Header) -> bool:
 
 def _any_violation(values: Values) -> VerdictFinding | None:
     """Return the finding where some rollout violates the specification: who names no acceptable share accepts none."""
-    if all(each.robustness >= 0.0 for each in values):
+    if not any(value < 0.0 for each in values for value in each.robustness):
         return None
     reason = "A rollout violates the specification, and the campaign file names no acceptable probability of that."
     return VerdictFinding("VIOLATED", (reason,), (f"If some are acceptable, {SAY_LIMIT}",), "certain")
@@ -197,12 +201,12 @@ def _worst_below(
         return _one_start_below(header, claim, required, values())
     if not _has_means(claim):
         return None
-    pairs = [(each.start, each.robustness) for each in values()]
-    found = _mean_below(header.config, required, probability, pairs, "At some start the expected robustness")
+    by_start = _by_start(values())
+    found = _mean_below(header.config, required, probability, by_start, "At some start the expected robustness")
     if found is None:
         return None
     # What is shown is that some start is bad, and not which.
-    return replace(found, reasons=(*found.reasons, *_most_suspicious(header, pairs, required)))
+    return replace(found, reasons=(*found.reasons, *_most_suspicious(header, by_start, required)))
 
 
 def _has_means(claim: CertificateClaim) -> bool:
@@ -217,10 +221,11 @@ def _drawn_below(
     header: Header, claim: CertificateClaim, required: float, probability: float, values: Callable[[], Values]
 ) -> VerdictFinding | None:
     """Return the finding about rollouts at drawn starts."""
-    samples = (each.robustness for each in drawn_samples(header.config, values()))
+    samples = drawn_samples(header.config, values())
     if claim.quantity in ("mean", "risk"):
-        pairs = (("", each) for each in samples)
-        return _mean_below(header.config, required, probability, pairs, "The mean robustness at drawn starts")
+        return _mean_below(
+            header.config, required, probability, [(b"", samples)], "The mean robustness at drawn starts"
+        )
     # A quantile or CVaR at a level is below the margin if more than this share of the rollouts is.
     if claim.quantity == "failure_probability":
         return _too_many_below(required, 0.0, probability, samples)
@@ -230,16 +235,18 @@ def _drawn_below(
 
 
 def _one_start_below(header: Header, claim: CertificateClaim, required: float, values: Values) -> VerdictFinding | None:
-    below = min((each for each in values if each.robustness < required), key=lambda each: each.robustness, default=None)
-    if below is None:
+    least, worst = math.inf, b""
+    for start, found in _by_start(values):
+        if min(found) < least:
+            least, worst = min(found), start
+    if least >= required:
         return None
-    start = _start_words(header, below.start)
     unit = robustness_unit(header.config, header.spec)
-    margin = margin_words(below.robustness, unit)
-    least = "" if required == 0 else f", less than the required {margin_text(f'{required:g}', claim, unit)}"
+    margin = margin_words(least, unit)
+    less = "" if required == 0 else f", less than the required {margin_text(f'{required:g}', claim, unit)}"
     return VerdictFinding(
         "VIOLATED",
-        (f"At {start} the robustness is {margin}{least}, and nothing there is random.",),
+        (f"At {_start_words(header, worst)} the robustness is {margin}{less}, and nothing there is random.",),
         by_rollouts="certain",
     )
 
@@ -256,18 +263,18 @@ def suspected(
         return ()
     if _is_clipped_below(header, claim, limit) or _are_all_beyond(claim, limit, violations):
         return ()
-    return _most_suspicious(header, [(each.start, each.robustness) for each in values()], limit)
+    return _most_suspicious(header, _by_start(values()), limit)
 
 
-def _most_suspicious(header: Header, pairs: Iterable[tuple[str, float]], required: float) -> tuple[str, ...]:
+def _most_suspicious(header: Header, by_start: ByStart, required: float) -> tuple[str, ...]:
     """Return the sentence on the start where the values are furthest below what is required, all of them together.
 
     Not that of the lowest mean: among many starts it is one with few rollouts, which show little.
     """
-    values: dict[str, list[float]] = {}
-    for start, value in pairs:
-        values.setdefault(start, []).append(value)
-    missing = {start: math.fsum(required - value for value in found) for start, found in values.items()}
+    values: dict[bytes, list[float]] = {}
+    for start, found in by_start:
+        values.setdefault(start, []).extend(found)
+    missing = {start: math.fsum(required - value for value in each) for start, each in values.items()}
     worst = max(missing, key=lambda start: (missing[start], start), default=None)
     if worst is None or missing[worst] <= 0.0:
         return ()
@@ -283,13 +290,13 @@ def _most_suspicious(header: Header, pairs: Iterable[tuple[str, float]], require
     )
 
 
-def _start_words(header: Header, start: str) -> str:
+def _start_words(header: Header, start: bytes) -> str:
     units = parameter_units(header.spec)
-    return named_start(dict(zip(units, json.loads(start), strict=True)), units)
+    return named_start(dict(zip(units, struct.unpack(f"<{len(units)}d", start), strict=True)), units)
 
 
 def _mean_below(
-    config: CampaignConfig, required: float, probability: float, pairs: Iterable[tuple[str, float]], whose: str
+    config: CampaignConfig, required: float, probability: float, by_start: ByStart, whose: str
 ) -> VerdictFinding | None:
     """Return the finding where some mean of the values, each with its start, is below the margin."""
     if config.clip is None or not config.clip[0] < required < config.clip[1]:
@@ -297,8 +304,8 @@ def _mean_below(
     low, high = config.clip
     # One test for all starts: a bound at each would share delta among starts whose number nothing fixes.
     test = OppositeTest(required, low, high)
-    for start, value in pairs:
-        test.observe(start, min(max(value, low), high))
+    for start, found in by_start:
+        test.observe_each(start, [min(max(value, low), high) for value in found])
     # Values above the upper end may lift the mean itself over what is required.
     clip = hiding(config.clip, reach_of(config.formula), "mean", "<=")
     clipped = "" if clip is None else f", {clip_words(clip)},"
@@ -306,13 +313,12 @@ def _mean_below(
     return None if found is None else replace(found, clip=clip)
 
 
-def _too_many_below(share: float, margin: float, probability: float, samples: Iterable[float]) -> VerdictFinding | None:
+def _too_many_below(share: float, margin: float, probability: float, samples: Sequence[float]) -> VerdictFinding | None:
     """Return the finding where more than a share of the values is below the margin."""
     if not share < 1.0:
         return None
     test = OppositeTest(1.0 - share, 0.0, 1.0)
-    for value in samples:
-        test.observe("", float(value >= margin))
+    test.observe_each("", [float(value >= margin) for value in samples])
     return _refuting(
         test, probability, f"More than {100 * share:g} % of the rollouts at drawn starts are below {margin:g}"
     )
@@ -326,8 +332,18 @@ def _refuting(test: OppositeTest, probability: float, words: str) -> VerdictFind
     )
 
 
-def drawn_samples(config: CampaignConfig, values: Values) -> Values:
-    """Return the first rollout at each start that was drawn; further ones there are no samples of their own."""
+def drawn_samples(config: CampaignConfig, values: Values) -> Sequence[float]:
+    """Return the robustness of the first rollout at each start that was drawn; further ones there are no samples."""
     (problem,), search = config.problems, config.falsify
-    of_problem = (each for each in values if each.series == problem.name and each.replicate == 0)
-    return (each for each in of_problem if search is None or search.is_random(each.test))
+    samples = array("d")
+    for each in values:
+        if each.series == problem.name:
+            first: Iterable[float] = each.robustness[:: each.replicates]
+            if search is not None:
+                first = itertools.compress(first, map(search.is_random, itertools.count(each.test)))
+            samples.extend(value for value in first if not math.isnan(value))
+    return samples
+
+
+def _by_start(values: Values) -> list[tuple[bytes, list[float]]]:
+    return [(start, found) for each in values for _, start, found in each.each()]

@@ -71,7 +71,7 @@ def campaign_verdict(
     required = Required(limit, _required_probability(config, claim), unit)
 
     def failed() -> int:
-        return sum(each.robustness < 0 for each in drawn_samples(config, values()))
+        return sum(value < 0.0 for value in drawn_samples(config, values()))
 
     def better(limit: float) -> str:
         noisy = not is_deterministic(header)

@@ -1,7 +1,9 @@
 """The size of a first campaign: as large as it may be to run for about a minute."""
 
+import math
 from dataclasses import dataclass
 
+from ...schemas.ranges import LARGEST_BATCH
 from ...schemas.values import Guess
 
 SECONDS, WORKERS = 60.0, 2
@@ -14,6 +16,11 @@ PER_SECOND = 120.0
 """Rollouts that the orchestrator records, whatever the workers can do."""
 FEWEST_SAMPLES, MOST_SAMPLES = 59, 2995
 """Samples without a violation that show at most 5 % and .1 %, at 95 %."""
+
+BATCH_BYTES = 8 * 2**20
+"""Of a larger batch the costs besides its rollouts have long been shared."""
+BATCH_SECONDS = 0.25
+"""Duration of a batch: a hundred times what it costs besides its rollouts, and a campaign still ends when it should."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,3 +80,13 @@ def first_samples(cost: float | None) -> FirstSize:
     rate = min(PER_SECOND, WORKERS / max(cost or 0.0, LEAST_COST))
     affordable = float(f"{max(SECONDS * rate - RECHECK, 0.0):.2g}")
     return FirstSize(int(min(max(affordable, FEWEST_SAMPLES), MOST_SAMPLES)), 1)
+
+
+def proposed_batch(seconds: float, size: int) -> int:
+    """Return the key `batch` for rollouts that take so long and whose files have so many bytes; a power of two.
+
+    >>> proposed_batch(0.001, 4000), proposed_batch(1.0, 4000), proposed_batch(1e-5, 100_000)
+    (128, 1, 64)
+    """
+    most = min(BATCH_SECONDS / max(seconds, 1e-9), BATCH_BYTES / max(size, 1), LARGEST_BATCH)
+    return 2 ** max(int(math.log2(max(most, 1.0))), 0)

@@ -352,7 +352,7 @@ def _status(
         {name: each.progress for name, each in ledger.series.items() if closing_check(name)},
         _phases(state),
         roster.records,
-        state.recorded,
+        ledger.arrived,
         len(state.waiting),
         now - started,
         machine.under_way(state),

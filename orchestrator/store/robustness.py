@@ -3,52 +3,29 @@
 The queries go to the SQLite driver directly, as those of `progress`: `perfbound list` reads many campaigns.
 """
 
+import itertools
 import json
+import math
 import sqlite3
-import struct
+from array import array
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from ...schemas.ids import RECHECK, SHRINK, RolloutId, closing_check, series_order
 from ...schemas.result.known import Violations
 from .readonly import snapshot
 
 _SERIES = "SELECT DISTINCT problem FROM tests"
-# A test without an observation is under way, and which of its rollouts came first may depend on their outcome.
-_OF = """
-    FROM each_rollout JOIN each_test USING (problem, test) JOIN each_observation USING (problem, test)
-    WHERE variant = ? AND problem IN (SELECT value FROM json_each(?)) AND robustness IS NOT NULL
-"""
-_COUNTS = f"""
-    SELECT count(*), count(CASE WHEN robustness < 0 THEN 1 END), count(DISTINCT x),
-    count(DISTINCT CASE WHEN robustness < 0 THEN x END), min(robustness) {_OF}
-"""
-_WORST = f"SELECT problem, test, replicate {_OF} AND robustness = ? ORDER BY problem, test, replicate LIMIT 1"
-_ORDER = "ORDER BY robustness, problem, test, replicate LIMIT 1"
-_ROLLOUTS = _OF.replace("JOIN each_test USING (problem, test) ", "")
-_NUMBER = f"SELECT count(*) {_ROLLOUTS}"
-_RANKED = f"SELECT problem, test, replicate, robustness {_ROLLOUTS}"
-_NTH = f"{_RANKED} {_ORDER} OFFSET ?"
-_BEST = f"{_RANKED} ORDER BY robustness DESC, problem, test, replicate LIMIT 1"
-_FIRST = f"{_RANKED} AND robustness < 0 ORDER BY test, replicate LIMIT 1"
-# Beside the only min(), SQLite takes the columns that are no aggregates from a row that has it.
-_STARTS = """
-    SELECT problem, test, count(CASE WHEN robustness < 0 THEN 1 END) AS violations, count(*), min(robustness)
-    FROM each_rollout JOIN each_test USING (problem, test)
-    WHERE problem IN (SELECT value FROM json_each(?)) AND robustness IS NOT NULL
-    GROUP BY x HAVING violations > 0
+# A test without an observation is under way, and which of its rollouts came first may depend on their outcome. A
+# rollout that failed in its batch comes after it.
+_BATCHES = """
+    SELECT r.problem, r.block, t.tests, t.x, t.starts, r.test, r.replicate, r.replicates, r.robustness, r.robustness_of
+    FROM rollouts r JOIN tests t ON t.problem = r.problem AND t.test = r.block
+    JOIN observations o ON o.problem = r.problem AND o.test = r.block
+    WHERE r.problem = ? AND r.variant = ? AND r.robustness IS NOT NULL ORDER BY r.block, r.places DESC, r.test
 """
 _RECORDED = "SELECT total(rollouts) FROM rollouts"
-_ANY_BLOCK = "SELECT 1 FROM rollouts WHERE seeds IS NOT NULL LIMIT 1"
-_ROW = "r.problem, r.test, r.replicate, r.replicates, r.places, r.rollouts, r.violations"
-_WHICH = "r.variant = ? AND r.problem IN (SELECT value FROM json_each(?)) AND r.robustness IS NOT NULL"
-_BATCHES = """
-    SELECT :row, r.robustness, r.robustness_of, t.x, t.starts, t.tests, r.test - t.test FROM rollouts r
-    JOIN tests t ON t.problem = r.problem AND t.test = r.block
-    JOIN observations o ON o.problem = r.problem AND o.test = r.block WHERE :which
-""".replace(":row", _ROW).replace(":which", _WHICH)
-_VALUES = f"SELECT test, replicate, x, robustness {_OF} ORDER BY test, replicate"
 
 # A recheck observes 1 where both trajectories agree; their files differ, because each names its rollout.
 _SAME = """
@@ -58,42 +35,40 @@ _SAME = """
 """
 
 
-class RolloutValue(NamedTuple):
-    """The robustness of one rollout, clipped."""
+class ObservedValues(NamedTuple):
+    """The clipped robustness of the rollouts of one variant at consecutive tests of a series."""
 
     series: str
     test: int
-    replicate: int
-    start: str
-    """As the database has it: equal for equal starts."""
-    robustness: float
+    """The first of them."""
+    starts: bytes
+    """float64, of each test."""
+    replicates: int
+    """Of each test."""
+    robustness: "array[float]"
+    """Of each test and replicate; NaN where there is none."""
 
+    @property
+    def tests(self) -> int:
+        """Number of tests."""
+        return len(self.robustness) // self.replicates
 
-class RankedRollout(NamedTuple):
-    """One rollout of those behind the bounds and in the closing checks."""
+    def start(self, place: int) -> bytes:
+        """Return the start of the test in a place, equal for equal starts."""
+        width = len(self.starts) // self.tests
+        return self.starts[width * place : width * (place + 1)]
 
-    rollout: RolloutId
-    robustness: float
+    def each(self) -> Iterator[tuple[int, bytes, list[float]]]:
+        """Yield number and start of every test with a robustness, and those of its rollouts that have one."""
+        for place in range(self.tests):
+            values = self.robustness[place * self.replicates : (place + 1) * self.replicates]
+            if found := [value for value in values if value == value]:  # noqa: PLR0124  (NaN: it has none)
+                yield self.test + place, self.start(place), found
 
-
-class RankedRollouts(NamedTuple):
-    """The rollouts of a variant at the ends and in the middle of their order by robustness; `first` violates."""
-
-    number: int
-    worst: RankedRollout
-    median: RankedRollout
-    best: RankedRollout
-    first: RankedRollout | None
-
-
-class StartViolations(NamedTuple):
-    """The violations at one start, that of a test whose rollout has the least robustness."""
-
-    series: str
-    test: int
-    violations: int
-    rollouts: int
-    least: float
+    def rollout(self, variant: str, place: int) -> RolloutId:
+        """Return the rollout of the robustness in a place."""
+        test, replicate = divmod(place, self.replicates)
+        return RolloutId(self.series, self.test + test, variant, replicate)
 
 
 def read_violations(directory: Path, variant: str) -> Violations:
@@ -104,82 +79,29 @@ def read_violations(directory: Path, variant: str) -> Violations:
         OSError: the disk is full or fails.
 
     """
-    with snapshot(directory) as connection:
-        series = _new_series(connection)
-        if connection.execute(_ANY_BLOCK).fetchone() is not None:
-            return _violations_with_blocks(connection, variant, series)
-        which = [variant, json.dumps(series)]
-        rollouts, violations, starts, violating, least = connection.execute(_COUNTS, which).fetchone()
-        worst = connection.execute(_WORST, [*which, least]).fetchone()
-    return Violations(
-        rollouts=rollouts,
-        violations=violations,
-        starts=starts,
-        violating_starts=violating,
-        least=least,
-        rollout=worst and str(RolloutId(worst[0], worst[1], variant, worst[2])),
-    )
-
-
-def _violations_with_blocks(connection: sqlite3.Connection, variant: str, series: list[str]) -> Violations:
-    """Return the same without a row for each rollout, of which a million takes a second to make."""
     rollouts = violations = 0
     starts, violating = set[bytes](), set[bytes]()
-    least: tuple[float, str, int, int] | None = None
-    for row in _batches(connection, variant, series):
-        rollouts, violations = rollouts + row.rollouts, violations + row.violations
-        width = len(row.starts) // row.tests
-        each = [
-            row.starts[width * k : width * (k + 1)] for k in range(row.first, row.first + row.places // row.replicates)
-        ]
-        starts.update(each)
-        if not row.violations and least is not None and row.robustness > least[0]:
-            continue
-        values = struct.unpack(f"<{row.places}d", row.values)
-        for place, value in enumerate(values):
-            test, number = divmod(place, row.replicates)
-            if value < 0:
-                violating.add(each[test])
-            found = (value, row.problem, row.test + test, row.replicate + number)
-            least = min(least, found) if least is not None else found
+    least = math.inf
+    worst: RolloutId | None = None
+    with snapshot(directory) as connection:
+        for found in _values(connection, variant, _new_series(connection)):
+            starts.update(map(found.start, range(found.tests)))
+            values = [value for value in found.robustness if value == value]  # noqa: PLR0124  (NaN: there is none)
+            rollouts, here = rollouts + len(values), min(values, default=math.inf)
+            if here < 0.0:
+                violations += sum(value < 0.0 for value in values)
+                violating.update(start for _, start, each in found.each() if min(each) < 0.0)
+            if here <= least and values:
+                first = found.rollout(variant, found.robustness.index(here))
+                least, worst = min((least, worst or first), (here, first))
     return Violations(
         rollouts=rollouts,
         violations=violations,
         starts=len(starts),
         violating_starts=len(violating),
-        least=least and least[0],
-        rollout=least and str(RolloutId(least[1], least[2], variant, least[3])),
+        least=None if worst is None else least,
+        rollout=worst and str(worst),
     )
-
-
-class _Batch(NamedTuple):
-    """A row of the table `rollouts` of an observed test, or of an observed block."""
-
-    problem: str
-    test: int
-    replicate: int
-    replicates: int
-    places: int
-    rollouts: int
-    violations: int
-    robustness: float
-    values: bytes
-    """float64; NaN for a rollout that failed."""
-    starts: bytes
-    """float64, of each test of the block."""
-    tests: int
-    """Of the block."""
-    first: int
-    """The place of its first test in the block."""
-
-
-def _batches(connection: sqlite3.Connection, variant: str, series: list[str]) -> Iterator[_Batch]:
-    for row in connection.execute(_BATCHES, [variant, json.dumps(series)]):
-        *same, robustness, values, x, starts, tests, first = row
-        if starts is None:
-            start = json.loads(x)
-            starts = struct.pack(f"<{len(start)}d", *start)
-        yield _Batch._make([*same, robustness, values or struct.pack("<d", robustness), starts, tests, first])
 
 
 def read_number_of_rollouts(directory: Path) -> int:
@@ -194,10 +116,8 @@ def read_number_of_rollouts(directory: Path) -> int:
         return int(connection.execute(_RECORDED).fetchone()[0])
 
 
-def read_ranked(directory: Path, variant: str, problems: Sequence[str]) -> RankedRollouts | None:
-    """Return the worst, the median and the best rollout of a variant; None if none of it has a robustness.
-
-    The first violation is that of the first series in the order of `read_values`.
+def read_values(directory: Path, variant: str, problems: Sequence[str]) -> Iterator[ObservedValues]:
+    """Yield the tests of a variant: those of the problems in the order of the file, then those of closing checks.
 
     Raises:
         JournalError: there is no campaign, or its database is damaged.
@@ -206,53 +126,31 @@ def read_ranked(directory: Path, variant: str, problems: Sequence[str]) -> Ranke
     """
     with snapshot(directory) as connection:
         series = sorted(_new_series(connection), key=lambda name: series_order(problems, name))
-        which = [variant, json.dumps(series)]
-        (number,) = connection.execute(_NUMBER, which).fetchone()
-        if not number:
-            return None
-        worst, median = (connection.execute(_NTH, [*which, place]).fetchone() for place in (0, (number - 1) // 2))
-        best = connection.execute(_BEST, which).fetchone()
-        firsts = (connection.execute(_FIRST, [variant, json.dumps([name])]).fetchone() for name in series)
-        first = next(filter(None, firsts), None)
-    return RankedRollouts(
-        number,
-        _ranked(variant, worst),
-        _ranked(variant, median),
-        _ranked(variant, best),
-        first and _ranked(variant, first),
-    )
+        yield from _values(connection, variant, series)
 
 
-def _ranked(variant: str, row: tuple[str, int, int, float]) -> RankedRollout:
-    problem, test, replicate, robustness = row
-    return RankedRollout(RolloutId(problem, test, variant, replicate), robustness)
+def _values(connection: sqlite3.Connection, variant: str, series: Sequence[str]) -> Iterator[ObservedValues]:
+    for name in series:
+        rows = connection.execute(_BATCHES, [name, variant])
+        for (block, tests, x, starts), batches in itertools.groupby(rows, key=lambda row: row[1:5]):
+            packed = array("d", json.loads(x)).tobytes() if starts is None else starts
+            yield ObservedValues(name, block, packed, *_joined(block, tests, [row[5:] for row in batches]))
 
 
-def read_violating_starts(directory: Path) -> list[StartViolations]:
-    """Return the starts with rollouts of any variant that violate the specification.
-
-    Raises:
-        JournalError: there is no campaign, or its database is damaged.
-        OSError: the disk is full or fails.
-
-    """
-    with snapshot(directory) as connection:
-        rows = connection.execute(_STARTS, [json.dumps(_new_series(connection))]).fetchall()
-    return [StartViolations(*row) for row in rows]
-
-
-def read_values(directory: Path, variant: str, problems: Sequence[str]) -> Iterator[RolloutValue]:
-    """Yield the rollouts of a variant: those of the problems in the order of the file, then those of closing checks.
-
-    Raises:
-        JournalError: there is no campaign, or its database is damaged.
-        OSError: the disk is full or fails.
-
-    """
-    with snapshot(directory) as connection:
-        for series in sorted(_new_series(connection), key=lambda name: series_order(problems, name)):
-            for test, replicate, start, robustness in connection.execute(_VALUES, [variant, json.dumps([series])]):
-                yield RolloutValue(series, test, replicate, start, robustness)
+def _joined(block: int, tests: int, batches: Sequence[Any]) -> "tuple[int, array[float]]":
+    """Return the replicates of a test, and the robustness in the batches of a block, of each test and replicate."""
+    each = max(replicate + replicates for _, replicate, replicates, _, _ in batches)
+    found = [array("d", [robustness]) if packed is None else array("d", packed) for *_, robustness, packed in batches]
+    # Before memory is taken: the numbers of a damaged database may be any.
+    if tests * each > sum(map(len, found)):
+        raise ValueError(f"the batches of test {block} are not whole")
+    values = array("d", [math.nan]) * (tests * each)
+    for (test, replicate, *_), batch in zip(batches, found, strict=True):
+        first = (test - block) * each + replicate
+        values[first : first + len(batch)] = batch
+    if len(values) != tests * each:
+        raise ValueError(f"the batches of test {block} have more rollouts than it")
+    return each, values
 
 
 def is_repeated(directory: Path, rollout: str) -> bool:

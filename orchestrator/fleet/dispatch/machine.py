@@ -277,7 +277,7 @@ def _deliver(state: DispatchState, event: Delivered) -> Outcome:
     else:
         state, cancels = _cancel_others(state, rollout, event.at)
         state = _close_rollouts(state, frozenset({rollout}))
-    state, back = clear(replace(state, recorded=state.recorded + 1), event.worker, event.at)
+    state, back = clear(state, event.worker, event.at)
     # Record before Acknowledge: once acknowledged, no worker has the bytes any more.
     return state, (*opinion.actions, Record(event.worker, event.attempt), acknowledge, *cancels, *back)
 

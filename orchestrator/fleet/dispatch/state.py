@@ -71,7 +71,6 @@ class DispatchState:
     """Whether the first results of a worker are compared."""
     comparisons: Mapping[str, int] = field(default_factory=dict)
     """Results of a worker that agreed with another one's."""
-    recorded: int = 0
 
     def is_undecided(self, rollout: RolloutId) -> bool:
         """Whether nothing has been decided on an open rollout since its last attempt ended."""

@@ -35,7 +35,7 @@ class Method(Protocol):
         """
         ...
 
-    def propose_each(self, tests: int, pending: int) -> tuple[Integers, Floats]:
+    def propose_each(self, tests: int, pending: int) -> tuple[Integers, Floats]:  # noqa: ARG002
         """Return candidates (k,) and starts (k, p) of the next k tests, after those in flight; it changes nothing.
 
         Raises:

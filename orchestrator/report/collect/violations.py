@@ -1,11 +1,16 @@
 """The rollouts of a campaign by their robustness: violations by their starts, and the tests to look at first."""
 
+import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from ....schemas.ids import RECHECK, closing_check
 from ....schemas.result.facts import Header, RolloutFact
-from ...store.robustness import RankedRollout, read_ranked, read_violating_starts
+from ...campaign.seeds import VARIANTS
+from ...store.robustness import ObservedValues, read_values
 from ..data.ranges import ranges
 from ..data.rollouts import Rank, RankedTest, ViolatingStart, ViolatingStarts
 from .start_groups import grouped
@@ -67,11 +72,34 @@ class ViolationStatistics:
 
     def _grouped(self, header: Header, start: Start) -> ViolatingStarts:
         found = [
-            ViolatingStart(x, each.violations, each.rollouts, each.least, each.series, each.test)
-            for each in read_violating_starts(self._directory)
-            if (x := start(each.series, each.test)) is not None
+            each for each in violating_starts(self._directory, header) if start(each.problem, each.test) is not None
         ]
         return grouped(found, list(ranges(header).values()))
+
+
+def violating_starts(directory: Path, header: Header) -> list[ViolatingStart]:
+    """Return the starts with rollouts of any variant that violate the specification.
+
+    Raises:
+        JournalError: the database cannot be read.
+
+    """
+    names = [problem.name for problem in header.config.problems]
+    values = [each for variant in VARIANTS for each in read_values(directory, variant, names)]
+    violating = {start for each in filter(_violates, values) for _, start, found in each.each() if min(found) < 0.0}
+    starts: dict[bytes, ViolatingStart] = {}
+    for each in values if violating else ():
+        for test, start, found in each.each():
+            if start not in violating:
+                continue
+            x, worst = tuple(np.frombuffer(start).tolist()), min(found)
+            before = starts.get(start, ViolatingStart(x, 0, 0, math.inf, each.series, test))
+            violations = before.violations + sum(value < 0.0 for value in found)
+            after = replace(before, violations=violations, rollouts=before.rollouts + len(found))
+            if worst < before.worst:
+                after = replace(after, worst=worst, problem=each.series, test=test)
+            starts[start] = after
+    return list(starts.values())
 
 
 def ranked_tests(directory: Path, header: Header) -> list[RankedTest]:
@@ -82,17 +110,28 @@ def ranked_tests(directory: Path, header: Header) -> list[RankedTest]:
 
     """
     variant = header.claimed_variant
-    found = read_ranked(directory, variant, [problem.name for problem in header.config.problems])
-    if found is None:
+    blocks = list(read_values(directory, variant, [problem.name for problem in header.config.problems]))
+    if not blocks:
         return []
-    each: list[tuple[Rank, RankedRollout | None]] = [
-        ("worst", found.worst),
-        ("first violation", found.first),
-        ("median", found.median),
-        ("best", found.best),
-    ]
-    return [
-        RankedTest(rank, at.rollout.problem, at.rollout.test, str(at.rollout), at.robustness, variant, found.number)
-        for rank, at in each
-        if at is not None
-    ]
+    first = next(filter(_violates, blocks), None)
+    blocks.sort(key=lambda block: block.series)  # of equal ones that of the first series by name, test and replicate
+    values = np.concatenate([np.asarray(block.robustness) for block in blocks])
+    ends = np.cumsum([len(block.robustness) for block in blocks])
+    order, number = np.argsort(values, kind="stable"), int(np.count_nonzero(~np.isnan(values)))  # NaN comes last
+
+    def ranked(rank: Rank, block: ObservedValues, place: int) -> RankedTest:
+        rollout = block.rollout(variant, place)
+        return RankedTest(rank, rollout.problem, rollout.test, str(rollout), block.robustness[place], variant, number)
+
+    def at(rank: Rank, place: int) -> RankedTest:
+        block = int(np.searchsorted(ends, place, side="right"))
+        return ranked(rank, blocks[block], place - int(ends[block]) + len(blocks[block].robustness))
+
+    found = [at("worst", int(order[0]))]
+    if first is not None:
+        found.append(ranked("first violation", first, int((np.asarray(first.robustness) < 0.0).argmax())))
+    return [*found, at("median", int(order[(number - 1) // 2])), at("best", int(np.nanargmax(values)))]
+
+
+def _violates(values: ObservedValues) -> bool:
+    return bool((np.asarray(values.robustness) < 0.0).any())

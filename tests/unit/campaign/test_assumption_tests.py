@@ -1,18 +1,23 @@
 """A campaign with `on_refuted`: where it ends, that nothing but the tests decides it, and what the certificate says."""
 
 import json
+import math
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
+import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from perfbound.orchestrator.campaign.assumption_tests import spread
+from perfbound.orchestrator.campaign.assumption_tests import OneLaw, spread
 from perfbound.orchestrator.campaign.ledger import Ledger
+from perfbound.orchestrator.campaign.plan import ProblemPlan
 from perfbound.orchestrator.campaign.series import Rows
 from perfbound.orchestrator.certificate import files
+from perfbound.orchestrator.mathematics.bounds.checks.stationarity import AdaptiveOrderTest
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.schemas.file.config import CampaignConfig
@@ -143,3 +148,28 @@ def test_it_is_refused_where_the_number_of_tests_is_fixed(name: str) -> None:
     sampled = {"method": "sample"}
     with pytest.raises(ValidationError, match=facts("on_refuted: 'stop' 'sample'")):
         robustness(sampled, clip=[-1, 1], **STOP)
+
+
+def test_the_first_numbers_of_rows_of_any_width() -> None:
+    rows = Rows([(1.0, 2.0), (), (3.0,)])
+    rows.extend(np.array([[4.0, 5.0, 6.0], [7.0, 8.0, 9.0]]))
+    rows.append(())
+    for start in range(7):
+        expected = [row[0] if row else math.nan for row in rows[start:]]
+        np.testing.assert_array_equal(rows.firsts(start), expected)
+    rows.append((1.0,))  # no view of the numbers is left
+    assert rows.firsts(6).tolist() == [1.0]
+
+
+def test_drawn_starts_are_one_column_of_first_values_without_those_of_a_search() -> None:
+    plan = SimpleNamespace(candidates=None, listed=None, is_drawn=lambda test: test % 3 != 1)
+    law, expected = OneLaw(cast(ProblemPlan, plan)), AdaptiveOrderTest(starts=1)
+    rows, values = Rows(), np.random.default_rng(3).integers(0, 9, (700, 2)) + np.arange(700)[:, None] / 100
+    for first, last in ((0, 1), (1, 1), (1, 400), (400, 700)):
+        rows.extend(values[first:last])
+        found = law.finding([-1] * last, rows)
+        for test in range(first, last):
+            if test % 3 != 1:
+                expected.observe(0, test, float(values[test, 0]))
+        assert found == expected.finding()
+    assert found.status == "refuted"

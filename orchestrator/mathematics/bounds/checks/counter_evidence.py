@@ -17,15 +17,24 @@ fixed part of the largest bet, for a system that is bad everywhere.
 """
 
 import math
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from ..rounding import RICHEST, ROUND_OFF
+
+# Imported where many values come at once: `status` loads no numerical library.
+if TYPE_CHECKING:
+    from ...gp.kernels import Floats
 
 CAP = 0.95
 """Largest share of the wealth that one value may cost."""
 PART = 0.1
 """The fixed bet, as a part of the largest one."""
+ALONE = 32
+"""Values up to which arrays take longer than numbers."""
+AT_ONCE = 4096
+"""Values that are taken at once, so that memory does not grow with their number."""
 
 
 @dataclass(slots=True)
@@ -36,9 +45,9 @@ class _Past:
 
     def suggested(self, caution: float) -> float:
         """Return the best bet for a mean so many standard errors below that of these deficits; 0 for none."""
-        if not self.squares > 0.0:
-            return 0.0
-        mean, square = self.total / self.count, self.squares / self.count
+        if not self.squares > 0.0 or not (square := self.squares / self.count) > 0.0:
+            return 0.0  # also where squares are too small for a double
+        mean = self.total / self.count
         error = math.sqrt(max(square - mean * mean, 0.0) / self.count)
         return max(0.0, (mean - caution * error) / square)
 
@@ -46,6 +55,20 @@ class _Past:
         self.count += 1
         self.total += deficit
         self.squares += deficit * deficit
+
+    def add_each(self, deficits: "Floats") -> "tuple[Floats, Floats]":
+        """Add deficits (k,); return what `suggested` gives before each (k,), without caution and with 1."""
+        import numpy as np  # noqa: PLC0415
+
+        counts = self.count + np.arange(len(deficits) + 1)
+        with np.errstate(all="ignore"):
+            totals = np.add.accumulate(np.concatenate([[self.total], deficits]))
+            squares = np.add.accumulate(np.concatenate([[self.squares], deficits * deficits]))
+            mean, square = (sums[:-1] / counts[:-1] for sums in (totals, squares))
+            error = np.sqrt(np.maximum(square - mean * mean, 0.0) / counts[:-1])
+            bets = [np.where(square > 0.0, np.fmax(0.0, best / square), 0.0) for best in (mean, mean - error)]
+        self.count, self.total, self.squares = int(counts[-1]), float(totals[-1]), float(squares[-1])
+        return bets[0], bets[1]
 
 
 @dataclass(slots=True)
@@ -101,3 +124,30 @@ class OppositeTest:
         for number, bet in enumerate(bets):
             self._wealth[number] = min(self._wealth[number] * (1.0 + bet * deficit), RICHEST)
         past.add(deficit)
+
+    def observe_each(self, start: Hashable, each: Sequence[float]) -> None:
+        """Add the next values (k,), all at one start; the result is the same in whatever pieces.
+
+        Raises:
+            ValueError: one is outside of the range; then none is added.
+
+        """
+        outside = [value for value in each if not self.low <= value <= self.high]
+        if outside:
+            raise ValueError(f"a value must be in [{self.low!r}, {self.high!r}], not {float(outside[0])!r}")
+        if len(each) <= ALONE:
+            for value in each:
+                self.observe(start, value)
+            return
+        import numpy as np  # noqa: PLC0415
+
+        from .wealth import wealth_after  # noqa: PLC0415
+
+        values = np.array(each, dtype=np.float64)
+        largest = CAP / (self.high - self.limit)
+        for first in range(0, len(values), AT_ONCE):
+            deficits = self.limit - values[first : first + AT_ONCE]
+            suggested = self._starts.setdefault(start, _Past()).add_each(deficits)
+            bets = [*np.minimum(suggested, largest), np.full(len(deficits), PART * largest)]
+            factors = 1.0 + np.stack(bets, axis=1) * deficits[:, None]
+            self._wealth = wealth_after(np.array(self._wealth), factors)[-1].tolist()

@@ -26,15 +26,16 @@ round, with any other rollouts between them.
 """
 
 import math
-from bisect import bisect_left, bisect_right, insort
 from collections.abc import Hashable, Sequence
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...gp.kernels import Floats
 from ..rounding import RICHEST, ROUND_OFF
 from .audit import Finding, Status
+from .wealth import wealth_after
 
 LEVEL = 0.01
 CAP = 0.95
@@ -44,6 +45,15 @@ RAMPS = (50, 400)
 """Bets on one start: +-slope * min(1, n/ramp). A drift over N values shifts v_n by about n/N of it."""
 LAG_SLOPES = (0.4, 0.9, 1.8)
 """Bets on planned times: +-slope * lag; for a drift by d standard deviations during the plan 1.7 d is best."""
+SUMMED = 1e-14
+"""Sums of the wealth of a few strategies that differ by a larger share are in the order of the exact sums."""
+RECENT = 8192
+"""Values of a start that are moved for a new one, at most; more of them join the old ones."""
+AT_ONCE = 1024
+"""Values that are ranked at once; a count of them fits two bytes."""
+PIECE = 128
+"""Those of them that are compared with each other; a count of them fits a byte."""
+_EARLIER = np.tri(PIECE, k=-1, dtype=np.bool_)
 
 
 class AdaptiveOrderTest:
@@ -82,11 +92,27 @@ class AdaptiveOrderTest:
             ValueError: the value is not a number.
 
         """
-        _check_number(value)
+        _check_numbers(value)
         if self._starts is None and self._first_test.setdefault(start, test) == test:
             return
-        column = self._columns.setdefault(start, _Column())
+        column = self._column(start)
         column.add(column.ranks.place(value, self._ties))
+
+    def observe_each(self, start: Hashable, tests: NDArray[np.integer], values: Floats) -> None:
+        """Add values (k,) of `start` in test order, of the tests (k,); the result is the same in whatever pieces.
+
+        Raises:
+            ValueError: a value is not a number; then none is added.
+
+        """
+        _check_numbers(*values[~np.isfinite(values)].tolist())
+        if self._starts is None and len(tests):
+            values = values[tests != self._first_test.setdefault(start, int(tests[0]))]
+        if not len(values):
+            return
+        column = self._column(start)
+        for first in range(0, len(values), AT_ONCE):
+            column.add_each(column.ranks.places(values[first : first + AT_ONCE], self._ties))
 
     def finding(self) -> Finding:
         """Return whether one law is refuted; `assumed` while no start has two values.
@@ -101,6 +127,11 @@ class AdaptiveOrderTest:
             return _finding("assumed", 0.0, self._level, values)
         status: Status = "refuted" if evidence[largest] >= (1.0 + ROUND_OFF) / self._level else "not refuted"
         return _finding(status, evidence[largest], self._level, {**values, "start": largest})
+
+    def _column(self, start: Hashable) -> "_Column":
+        if start not in self._columns:
+            self._columns[start] = _Column()
+        return self._columns[start]
 
     def _share(self, k: int) -> float:
         # Starts beyond the number that was fixed beforehand have no share left.
@@ -145,7 +176,7 @@ class PlannedOrderTest:
             ValueError: the value is not a number, or the plan has ended.
 
         """
-        _check_number(value)
+        _check_numbers(value)
         if self._count == len(self._plan):
             raise ValueError(f"the plan has {len(self._plan)} rollouts, and all of them have a value")
         ranks = self._ranks.setdefault(self._plan[self._count][0], _Ranks())
@@ -163,23 +194,61 @@ class PlannedOrderTest:
 
 
 class _Ranks:
-    """The values of one start in increasing order."""
+    """The values of one start, old and recent ones each in increasing order: a new value moves recent ones alone."""
 
     def __init__(self) -> None:
-        self._sorted: list[float] = []
+        self._old, self._recent = np.empty(0), np.empty(0)
 
     @property
     def count(self) -> int:
         """Number of values."""
-        return len(self._sorted)
+        return len(self._old) + len(self._recent)
 
     def place(self, value: float, ties: np.random.Generator) -> float:
         """Add a value and return u_n, in (0, 1)."""
-        left, right = bisect_left(self._sorted, value), bisect_right(self._sorted, value)
+        at = int(self._recent.searchsorted(value))
+        left = at + int(self._old.searchsorted(value))
+        right = int(self._recent.searchsorted(value, "right")) + int(self._old.searchsorted(value, "right"))
         # Values at an end of a clip are often equal. Middle ranks have mean 1/2, too, but are not independent.
         rank = left + (int(ties.integers(right - left + 1)) if right > left else 0)
-        insort(self._sorted, value)
-        return (rank + 0.5) / len(self._sorted)
+        self._recent = np.concatenate([self._recent[:at], [value], self._recent[at:]])
+        self._age()
+        return (rank + 0.5) / self.count
+
+    def places(self, values: Floats, ties: np.random.Generator) -> Floats:
+        """Add values (k,) and return their u_n (k,), which are those that `place` returns for each."""
+        order = values.argsort(kind="stable")
+        ordered, back = values[order], order.argsort()
+        # A stable order has equal values in the order of their arrival.
+        right = _smaller_before(back)
+        left = right - (np.arange(len(values)) - ordered.searchsorted(ordered))[back]
+        for known in (self._old, self._recent):
+            left += known.searchsorted(ordered)[back]
+            right += known.searchsorted(ordered, "right")[back]
+        ranks = left + ties.integers(right - left + 1)  # one without ties draws nothing, as in `place`
+        places: Floats = (ranks + 0.5) / (self.count + np.arange(1, len(values) + 1))
+        self._recent = np.insert(self._recent, self._recent.searchsorted(ordered), ordered)
+        self._age()
+        return places
+
+    def _age(self) -> None:
+        if len(self._recent) > RECENT:
+            self._old = np.insert(self._old, self._old.searchsorted(self._recent), self._recent)
+            self._recent = np.empty(0)
+
+
+def _smaller_before(order: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return how many smaller numbers precede each of 0 .. k - 1, which are in any order."""
+    piece = np.arange(len(order)) // PIECE
+    seen = np.zeros((piece[-1] + 2, len(order)), dtype=np.int16)
+    seen[piece + 1, order] = 1
+    below = seen.cumsum(axis=0, dtype=np.int16).cumsum(axis=1, dtype=np.int16)  # in the pieces before
+    found: NDArray[np.intp] = below[piece, order].astype(np.intp)
+    for first in range(0, len(order), PIECE):
+        own = order[first : first + PIECE].astype(np.int16)
+        earlier = _EARLIER[: len(own), : len(own)]
+        found[first : first + PIECE] += ((own < own[:, None]) & earlier).sum(axis=1, dtype=np.uint8)
+    return found
 
 
 class _Wealth:
@@ -194,13 +263,21 @@ class _Wealth:
         np.minimum(self._each * (1.0 + bets * (2.0 * place - 1.0)), RICHEST, out=self._each)
         self.peak = max(self.peak, math.fsum(self._each))
 
+    def multiply_each(self, bets: Floats, places: Floats) -> None:
+        """Settle the bets (k, S) on u_n (k,), one after the other."""
+        each = wealth_after(self._each, 1.0 + bets * (2.0 * places - 1.0)[:, None])
+        # The exact sum decides; only rows whose sum is the largest but for rounding can have the largest one.
+        sums = each.sum(axis=1)
+        rows = each[sums >= max(self.peak, sums.max()) * (1.0 - SUMMED)]
+        self._each, self.peak = each[-1].copy(), max([self.peak, *map(math.fsum, rows)])
+
 
 class _Column:
     """Ranks and wealth of one start; the bets depend on the number of its values alone."""
 
     def __init__(self) -> None:
         self.ranks = _Ranks()
-        self._wealth = _Wealth(2 * len(SLOPES) * len(RAMPS))
+        self._wealth = _Wealth(_BETS.shape[1])
 
     @property
     def peak(self) -> float:
@@ -209,8 +286,22 @@ class _Column:
 
     def add(self, place: float) -> None:
         """Bet on the place of the newest value."""
-        bets = [slope * min(1.0, self.ranks.count / ramp) for slope in SLOPES for ramp in RAMPS]
-        self._wealth.multiply(np.array([*bets, *(-bet for bet in bets)]), place)
+        self._wealth.multiply(_BETS[min(self.ranks.count, len(_BETS)) - 1], place)
+
+    def add_each(self, places: Floats) -> None:
+        """Bet on the places (k,) of the newest values."""
+        counts = self.ranks.count - np.arange(len(places))[::-1]
+        self._wealth.multiply_each(_BETS[np.minimum(counts, len(_BETS)) - 1], places)
+
+
+def _ramped_bets() -> Floats:
+    """Return the bets (N, S) on the n-th value of a start; those after the longest ramp equal the last."""
+    counts = np.arange(1, max(RAMPS) + 1)
+    bets = [slope * np.minimum(1.0, counts / ramp) for slope in SLOPES for ramp in RAMPS]
+    return np.stack([*bets, *(-bet for bet in bets)], axis=1)
+
+
+_BETS = _ramped_bets()
 
 
 def _planned_bets(plan: Sequence[tuple[Hashable, float]]) -> Floats:
@@ -239,6 +330,7 @@ def _check_level(level: float) -> None:
         raise ValueError(f"level must be in (0, 1), not {level!r}")
 
 
-def _check_number(value: float) -> None:
-    if not math.isfinite(value):
-        raise ValueError(f"a value must be finite, not {value!r}")
+def _check_numbers(*values: float) -> None:
+    for value in values:
+        if not math.isfinite(value):
+            raise ValueError(f"a value must be finite, not {value!r}")

@@ -44,6 +44,17 @@ class Design:
         """Number of points q."""
         return len(self.nodes)
 
+    def nodes_of(self, first: int, tests: int) -> list[int]:
+        """Return the nodes of so many tests from `first` on.
+
+        Raises:
+            ValueError: the design has fewer.
+
+        """
+        if first + tests > len(self.order):
+            raise ValueError(f"the design has {len(self.order)} tests, and all of them are made")
+        return [self.nodes[place] for place in self.order[first : first + tests]]
+
 
 def points_per_parameter(parameters: int, tests: int, replicates: int) -> int:
     """Return the default number of points per parameter for a budget.

@@ -124,18 +124,12 @@ class KrigingMethod(Method):
             ValueError: the design has no more tests.
 
         """
-        return self.proposal_at(self._next(1, len(pending))[0], pending)
+        return self.proposal_at(self.design.nodes_of(self._tests + len(pending), 1)[0], pending)
 
     def propose_each(self, tests: int, pending: int) -> tuple[Integers, Floats]:
         """Return the next tests of the design; raises as `propose`."""
-        nodes = self._next(tests, pending)
+        nodes = self.design.nodes_of(self._tests + pending, tests)
         return np.array(nodes, dtype=np.int64), np.array([point_at(self.lattice, node) for node in nodes])
-
-    def _next(self, tests: int, pending: int) -> list[int]:
-        first, planned = self._tests + pending, self.design.order
-        if first + tests > len(planned):
-            raise ValueError(f"the design has {len(planned)} tests, and all of them are made")
-        return [self.design.nodes[place] for place in planned[first : first + tests]]
 
     def acquisition(self, pending: Sequence[int]) -> Floats:
         """Return 1 at the next node of the design and 0 elsewhere (m,): no rule may choose another one."""
@@ -203,18 +197,16 @@ class KrigingMethod(Method):
                 raise ValueError("a test needs at least one rollout")
             check_values(values, self._premises.ends)
         for node, values in tests:
-            self._take(self._places[node], values)
-
-    def _take(self, point: int, values: Sequence[float]) -> None:
-        self._audit.observe(point, values)  # before the means: its bets are functions of the tests before
-        self._bounds.observe(point, values)
-        self._means.add(point, values)
-        self._tests += 1
-        found = self._bounds.minimum()
-        # mu exceeds m0 + B nowhere, so that a bound there contradicts B as well.
-        self.beyond_ball = self.beyond_ball or found >= self._premises.prior_mean + self._premises.rkhs_norm
-        if not self._is_refuted:  # false premises prove nothing: the bound from before is kept
-            self._upper = -found
+            point = self._places[node]
+            self._audit.observe(point, values)  # before the means: its bets are functions of the tests before
+            self._bounds.observe(point, values)
+            self._means.add(point, values)
+            self._tests += 1
+            found = self._bounds.minimum()
+            # mu exceeds m0 + B nowhere, so that a bound there contradicts B as well.
+            self.beyond_ball = self.beyond_ball or found >= self._premises.prior_mean + self._premises.rkhs_norm
+            if not self._is_refuted:  # false premises prove nothing: the bound from before is kept
+                self._upper = -found
 
     @property
     def _is_refuted(self) -> bool:

@@ -18,6 +18,7 @@ from perfbound.orchestrator.campaign.ledger import Ledger, Scored, observed_roll
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.issue import issue, manifest
 from perfbound.orchestrator.certificate.verify.run import verify_certificate
+from perfbound.orchestrator.report.collect.violations import ranked_tests, violating_starts
 from perfbound.orchestrator.store import facts as recorded_facts
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.journal import Journal
@@ -240,11 +241,12 @@ def test_a_rollout_that_failed_is_made_again_alone(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("failing", [none, some])
 def test_readers_find_every_rollout_once(tmp_path: Path, failing: Callable[[BatchRequest], list[int]]) -> None:
-    with played(tmp_path / "run", sampled(16), failing=failing):
+    with played(tmp_path / "run", sampled(16), failing=failing) as play:
+        assert play.ledger.arrived == 50
         values = {fact.rollout: fact.robustness for fact in recorded_facts.observed_rollouts(tmp_path / "run")}
     assert len(values) == 50
-    listed = list(read_values(tmp_path / "run", "true", ["robustness"]))
-    assert [each.robustness for each in listed] == [values[each] for each in sorted(values)]
+    listed = [value for each in read_values(tmp_path / "run", "true", ["robustness"]) for value in each.robustness]
+    assert listed == [values[each] for each in sorted(values)]
     found = read_violations(tmp_path / "run", "true")
     below = [value for value in values.values() if value is not None and value < 0]
     assert (found.rollouts, found.violations) == (50, len(below))
@@ -252,6 +254,16 @@ def test_readers_find_every_rollout_once(tmp_path: Path, failing: Callable[[Batc
     assert found.violating_starts == len(below)
     worst = min(values, key=lambda each: (values[each] or 0.0, each))
     assert (found.least, found.rollout) == (values[worst], str(worst))
+    header = read.stored_header(tmp_path / "run")
+    ranked = sorted(values, key=lambda each: (values[each], each))
+    first = next(each for each in sorted(values) if (values[each] or 0.0) < 0)
+    assert [each.rollout for each in ranked_tests(tmp_path / "run", header)] == [
+        str(each) for each in (ranked[0], first, ranked[24], ranked[-1])
+    ]
+    starts = violating_starts(tmp_path / "run", header)
+    assert sorted((each.test, each.worst, each.violations) for each in starts) == [
+        (each.test, values[each], 1) for each in sorted(values) if (values[each] or 0.0) < 0
+    ]
 
 
 @pytest.mark.parametrize("failing", [none, some])

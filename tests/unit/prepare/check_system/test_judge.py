@@ -87,6 +87,7 @@ def test_a_sound_system_passes_every_check() -> None:
     assert not any(each.remedy for each in found.values())
     assert says(found["speed"].detail, "^10 ms rollout 4 kB file 100 rollouts/s 1 worker")
     assert "at most 400 from 4" in found["speed"].detail
+    assert "batch = 16" in found["speed"].detail
 
 
 def changed(samples: str) -> dict[str, Any]:

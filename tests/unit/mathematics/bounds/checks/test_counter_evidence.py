@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from perfbound.orchestrator.mathematics.bounds.checks.counter_evidence import CAP, OppositeTest
+from perfbound.orchestrator.mathematics.bounds.checks.counter_evidence import AT_ONCE, CAP, OppositeTest
+from perfbound.orchestrator.mathematics.bounds.rounding import RICHEST
 
 
 def test_a_mean_below_the_limit_is_found() -> None:
@@ -62,3 +63,44 @@ def test_a_limit_outside_the_range_is_refused(limit: float) -> None:
 def test_a_value_outside_the_range_is_refused() -> None:
     with pytest.raises(ValueError, match="a value must be in"):
         OppositeTest(0.0, -1.0, 1.0).observe(0, 1.5)
+
+
+def check_pieces(values: np.ndarray, limit: float, sizes: list[int]) -> OppositeTest:
+    """Check that values one by one and in pieces at two starts leave the same state, to the bit; return the test."""
+    one, many = OppositeTest(limit, -1.0, 1.0), OppositeTest(limit, -1.0, 1.0)
+    for number, piece in enumerate(np.split(values, np.cumsum(sizes))):
+        for value in piece.tolist():
+            one.observe(number % 2, value)
+        many.observe_each(number % 2, piece)
+    assert one == many
+    return many
+
+
+@given(
+    st.lists(st.one_of(st.floats(-1, 1), st.sampled_from([-1.0, 1.0])), max_size=100),
+    st.floats(-0.99, 0.99),
+    st.lists(st.integers(0, 40), max_size=4),
+)
+def test_pieces_are_what_one_by_one_is(values: list[float], limit: float, sizes: list[int]) -> None:
+    check_pieces(np.array(values), limit, sizes)
+
+
+def test_it_is_the_same_where_wealth_is_discarded() -> None:
+    rng = np.random.default_rng(8)
+    values = np.concatenate([np.full(2000, -0.9), rng.uniform(-1, 1, 3 * AT_ONCE), np.full(200, 1.0)])
+    test = check_pieces(values[:2000], 0.5, [900, 1])
+    assert max(test._wealth) == RICHEST
+    check_pieces(values, 0.5, [1200, 500, 3, AT_ONCE + 1])
+
+
+@pytest.mark.parametrize("tiny", [1e-162, 1e-200])
+def test_squares_that_are_too_small_for_a_double_suggest_nothing(tiny: float) -> None:
+    test = check_pieces(np.array([-tiny, 0.0, 0.0, -0.5]), 0.0, [1, 0, 1])
+    assert test.wealth >= 1.0
+
+
+def test_nothing_changes_where_one_of_many_values_is_outside() -> None:
+    test = OppositeTest(0.0, -1.0, 1.0)
+    with pytest.raises(ValueError, match=r"not 1\.5"):
+        test.observe_each(0, np.array([0.5, 1.5, np.nan]))
+    assert test == OppositeTest(0.0, -1.0, 1.0)

@@ -10,6 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from perfbound.orchestrator.mathematics.bounds.checks.stationarity import (
+    AT_ONCE,
+    RECENT,
     AdaptiveOrderTest,
     PlannedOrderTest,
     _Column,
@@ -92,6 +94,74 @@ class TestAdaptive:
             for start in range(3):
                 test.observe(start, n, float(rng.standard_normal() + (start == 1) * n / 100))
         assert (test.finding().status, test.finding().values["start"]) == ("refuted", 1)
+
+
+def state_of(test: AdaptiveOrderTest) -> object:
+    columns = {
+        start: (
+            np.sort(np.concatenate([column.ranks._old, column.ranks._recent])).tolist(),
+            column._wealth._each.tolist(),
+            column.peak,
+        )
+        for start, column in test._columns.items()
+    }
+    return columns, test._first_test, test._ties.bit_generator.state, test.finding()
+
+
+def check_pieces(values: np.ndarray, tests: np.ndarray, starts: int | None, pieces: list[int]) -> None:
+    """Check that values one by one, in pieces and at once leave the same state, to the bit."""
+    one, many, whole = (AdaptiveOrderTest(starts=starts) for _ in range(3))
+    for number, value in zip(tests.tolist(), values.tolist(), strict=True):
+        one.observe("a", number, value)
+    first = 0
+    for piece in itertools.cycle([*pieces, 1]):
+        many.observe_each("a", tests[first : first + piece], values[first : first + piece])
+        first += piece
+        if first >= len(values):
+            break
+    whole.observe_each("a", tests, values)
+    assert state_of(one) == state_of(many) == state_of(whole)
+
+
+class TestManyAtOnce:
+    @given(
+        st.lists(st.one_of(st.floats(-5, 5), st.integers(-2, 2).map(float)), max_size=300),
+        st.lists(st.integers(0, 150), max_size=4),
+        st.sampled_from([1, None]),
+        st.integers(1, 9),
+    )
+    @settings(max_examples=60, deadline=None)
+    def test_pieces_are_what_one_by_one_is(
+        self, values: list[float], pieces: list[int], starts: int | None, replicates: int
+    ) -> None:
+        check_pieces(np.array(values), np.arange(len(values)) // replicates, starts, pieces)
+
+    @pytest.mark.parametrize("low", [-0.5, -5.0])
+    def test_it_is_the_same_beyond_every_size_with_ties_at_the_ends_of_a_clip(self, low: float) -> None:
+        count = RECENT + 3 * AT_ONCE
+        values = np.clip(np.random.default_rng(5).standard_normal(count), low, 0.8)
+        check_pieces(values, np.arange(count), 1, [7, 1500, 0, 130, 3000])
+
+    def test_it_is_the_same_where_wealth_is_discarded(self) -> None:
+        values = np.append(np.arange(4000.0), np.random.default_rng(6).uniform(0, 4000, 500))
+        check_pieces(values, np.arange(4500), 1, [900, 1, 64])
+
+    def test_starts_share_the_ties(self) -> None:
+        one, many = AdaptiveOrderTest(starts=2), AdaptiveOrderTest(starts=2)
+        values = np.random.default_rng(7).integers(0, 5, 400).astype(float)
+        for first in range(0, 400, 50):
+            for number in range(first, first + 50):
+                one.observe(first % 100, number, values[number])
+            many.observe_each(first % 100, np.arange(first, first + 50), values[first : first + 50])
+        assert state_of(one) == state_of(many)
+
+    def test_nothing_changes_where_a_value_is_refused(self) -> None:
+        test = AdaptiveOrderTest()
+        test.observe_each("a", np.arange(3), np.array([1.0, 2.0, 2.0]))
+        before = state_of(test)
+        with pytest.raises(ValueError, match="finite, not nan"):
+            test.observe_each("b", np.arange(3), np.array([1.0, math.nan, math.inf]))
+        assert state_of(test) == before
 
 
 class TestPlanned:
