@@ -10,10 +10,11 @@ from sqlalchemy import Connection
 
 from ...schemas.errors import JournalError
 from ...schemas.ranges import within_seconds
-from ...schemas.result.block_facts import each_fact
+from ...schemas.result.block_facts import BlockObservationFact, BlockProposalFact, each_rollout
 from ...schemas.result.facts import BoundFact, ExtensionFact, Header, ObservationFact, ProposalFact, RolloutFact
+from ...schemas.values import Proposal
 from . import tables
-from .facts import READERS, each_rollout_fact
+from .facts import READERS, rollout_fact
 from .read import read_header, reading
 from .rows import DATABASE
 
@@ -34,11 +35,18 @@ _COUNTS = (
     .where(_rollouts.seq > _SINCE)
     .group_by(_rollouts.problem)
 )
-_each = tables.each_rollout.c
-_VIOLATIONS = (
-    sa.select(tables.each_rollout)
-    .where(_each.seq > _SINCE, _each.robustness < 0)
-    .order_by(_each.seq, _each.test, _each.replicate)
+_VIOLATIONS = sa.select(tables.rollouts).where(_rollouts.seq > _SINCE, _rollouts.robustness < 0).order_by(_rollouts.seq)
+# A row has the rollouts of one test, or of the tests of a batch: a view of each test would expand every one of them.
+_OF_TEST = (
+    sa.select(tables.rollouts)
+    .where(_rollouts.problem == sa.bindparam("problem"), _rollouts.test <= sa.bindparam("test"))
+    .where(_rollouts.test + _rollouts.places / _rollouts.replicates > sa.bindparam("test"))
+)
+_PROPOSAL = (
+    sa.select(tables.tests)
+    .where(tables.tests.c.problem == sa.bindparam("problem"), tables.tests.c.test <= sa.bindparam("test"))
+    .order_by(tables.tests.c.test.desc())
+    .limit(1)
 )
 _OUTCOMES = sa.select(tables.outcomes, _ENDED.label("rowid")).where(_ENDED > _SINCE).order_by(_ENDED)
 _HOSTS = (
@@ -50,7 +58,7 @@ _HOSTS = (
 _RUN = sa.select(tables.campaign.c.run)
 
 
-Decision = ProposalFact | ObservationFact | BoundFact | ExtensionFact
+Decision = ProposalFact | BlockProposalFact | ObservationFact | BlockObservationFact | BoundFact | ExtensionFact
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +135,8 @@ _OPINIONS, _PAUSES = _after_last(tables.opinions, ComparedResult), _after_last(t
 class Changes:
     """The rows that one call found and the call before had not; `header` and `sessions` are whole.
 
-    `rollouts` counts by problem, `violations` are those with robustness below 0, `hosts` the last host by worker.
+    `decisions` are as they were written, those of blocks among them. `rollouts` counts by problem, `violations` are
+    those with robustness below 0, `hosts` the last host by worker.
     """
 
     header: Header
@@ -181,9 +190,9 @@ class ChangeReader:
         decisions.sort(key=lambda pair: pair[0])  # the sequence number is common to all tables of facts
         found = Changes(
             header,
-            tuple(fact for fact in each_fact(fact for _, fact in decisions) if isinstance(fact, Decision)),
+            tuple(fact for _, fact in decisions),
             {row.problem: row.number for row in counts},
-            tuple(_rollout(row, self._directory) for row in violations),
+            tuple(fact for row in violations for fact in _rollouts_of(row, self._directory) if fact.violates),
             tuple(_ended_attempt(row) for row in outcomes),
             {row.worker: row.host for row in hosts},
             tuple(Session(*row) for row in sessions),
@@ -216,9 +225,22 @@ def rollouts_of(directory: Path, problem: str, test: int) -> tuple[RolloutFact, 
 
     """
     with reading(directory) as connection:
-        this = sa.select(tables.each_rollout).where(_each.problem == problem, _each.test == test)
-        rows = connection.execute(this.order_by(_each.variant, _each.replicate)).all()
-    return tuple(_rollout(row, directory) for row in rows)
+        return rollouts_in(connection, directory, problem, test)
+
+
+def rollouts_in(connection: Connection, directory: Path, problem: str, test: int) -> tuple[RolloutFact, ...]:
+    """Return the same from an open database; raises as `rollouts_of`."""
+    rows = connection.execute(_OF_TEST, {"problem": problem, "test": test}).all()
+    found = (fact for row in rows for fact in _rollouts_of(row, directory) if fact.rollout.test == test)
+    return tuple(sorted(found, key=lambda fact: fact.rollout))
+
+
+def proposal_in(connection: Connection, directory: Path, problem: str, test: int) -> Proposal:
+    """Return the proposal of a test that has a rollout, from an open database; raises as `rollouts_of`."""
+    row = connection.execute(_PROPOSAL, {"problem": problem, "test": test}).one()
+    fact = _fact(tables.tests, row, directory)
+    proposed: ProposalFact = fact.of_test(test) if isinstance(fact, BlockProposalFact) else fact
+    return proposed.proposal
 
 
 def _ended_attempt(row: Any) -> AttemptOutcome:
@@ -227,8 +249,9 @@ def _ended_attempt(row: Any) -> AttemptOutcome:
     return AttemptOutcome(**{name: getattr(row, name) for name in _OUTCOME_FIELDS} | seconds)
 
 
-def _rollout(row: Any, directory: Path) -> RolloutFact:
-    return _read(each_rollout_fact, tables.rollouts.name, row, directory)
+def _rollouts_of(row: Any, directory: Path) -> tuple[RolloutFact, ...]:
+    """Return the rollouts of a row, which may be that of a batch."""
+    return _read(lambda row: tuple(each_rollout(rollout_fact(row))), tables.rollouts.name, row, directory)
 
 
 def _fact(table: sa.Table, row: Any, directory: Path) -> Any:

@@ -30,7 +30,7 @@ from ...schemas.file.objectives import replicates_are_robustness
 from ...schemas.file.parts import parts_of
 from ...schemas.file.problem_models import Problem
 from ...schemas.ids import RECHECK, RISK_CHECK, SHRINK, SPOT_CHECK, closing_check
-from ...schemas.result.facts import NO_FAILURE, RECORDED, Header
+from ...schemas.result.facts import NO_FAILURE, RECORDED, Header, RolloutFact
 from ...schemas.system import SystemSpec
 from . import tables
 
@@ -80,13 +80,13 @@ def export_table(name: str, header: Header) -> ExportTable:
         case "tests":
             return _tests_table(header)
         case "rollouts":
-            return _rollouts_table(name, header, _ROLLOUTS)
+            return _rollouts_table(name, header, _ROLLOUTS, lambda _: True)
         case "observations":
             return _observations_table(header)
         case "counterexamples":
             # Not of the recheck: it repeats rollouts that are listed.
             violating = _r.robustness < 0, _r.problem.not_like(f"{RECHECK}%")
-            return _rollouts_table(name, header, _ROLLOUTS.where(*violating))
+            return _rollouts_table(name, header, _ROLLOUTS.where(*violating), lambda fact: fact.violates)
         case "failures":
             return _failures_table()
         case "opinions":
@@ -116,7 +116,7 @@ def unit(problem: Problem, config: CampaignConfig, spec: SystemSpec) -> str:
 
 # tests
 
-_t, _o, _b, _r = tables.each_test.c, tables.each_observation.c, tables.bounds.c, tables.each_rollout.c
+_t, _o, _b, _r = tables.each_test.c, tables.each_observation.c, tables.bounds.c, tables.rollouts.c
 _TESTS = (
     sa.select(tables.each_test, _o.y, _b.upper, _b.lower, _b.stopped_by)
     .outerjoin(tables.each_observation, (_o.problem == _t.problem) & (_o.test == _t.test))
@@ -149,29 +149,29 @@ def _tests_table(header: Header) -> ExportTable:
 
 _outcome, _tried = tables.outcomes.c, tables.attempts.c
 _NAME = [sa.cast(each, sa.Text) for each in (_r.problem, _r.test, _r.variant, _r.replicate)]
-_ID = _NAME[0] + "." + _NAME[1] + "." + _NAME[2] + "." + _NAME[3]
-_TRIED = _r.attempted
+_TRIED = _NAME[0] + "." + _NAME[1] + "." + _NAME[2] + "." + _NAME[3]
 """The rollout that names its attempts: of a batch the first one."""
-_ATTEMPTS = sa.select(sa.func.count()).where(_tried.rollout == _TRIED).correlate(tables.each_rollout).scalar_subquery()
+_ATTEMPTS = sa.select(sa.func.count()).where(_tried.rollout == _TRIED).correlate(tables.rollouts).scalar_subquery()
 _earlier = tables.outcomes.alias()
 # After a discard there are two recorded attempts; the present row is of the last one.
 _LAST = (
     sa.select(sa.func.max(_earlier.c.attempt))
     .where(_earlier.c.rollout == _TRIED, _earlier.c.outcome == RECORDED)
-    .correlate(tables.each_rollout)
+    .correlate(tables.rollouts)
     .scalar_subquery()
 )
+_proposed = tables.tests.c
+# A row for each rollout or batch: views would expand a million of them, also where none violates.
 _ROLLOUTS = (
     sa.select(
-        *(_ID.label("id"), _r.problem, _r.test, _r.variant, _r.replicate, _r.seed, _t.x),
-        *(_r.robustness, _r.by_tolerance, _r.ended, _r.path, _r.size, _r.sha256),
+        *(tables.rollouts, _proposed.test.label("first"), _proposed.tests, _proposed.x, _proposed.starts),
         *(_outcome.worker, _ATTEMPTS.label("attempts"), _outcome.wall_seconds, _outcome.cpu_seconds),
     )
-    .join(tables.each_test, (_t.problem == _r.problem) & (_t.test == _r.test))
+    .join(tables.tests, (_proposed.problem == _r.problem) & (_proposed.test == _r.block))
     .outerjoin(
         tables.outcomes, (_outcome.rollout == _TRIED) & (_outcome.outcome == RECORDED) & (_outcome.attempt == _LAST)
     )
-    .order_by(_r.seq, _r.test, _r.replicate)
+    .order_by(_r.seq)
 )
 _ROLLOUT = (
     ExportColumn("rollout", "text"),
@@ -190,17 +190,26 @@ _ATTEMPT = (
 )
 
 
-def _rollouts_table(name: str, header: Header, query: sa.Select[Any]) -> ExportTable:
+def _rollouts_table(
+    name: str, header: Header, query: sa.Select[Any], wanted: Callable[[RolloutFact], bool]
+) -> ExportTable:
+    import numpy as np  # noqa: PLC0415  (late, as those that follow: other tables are written without it)
+
+    from ...schemas.result.block_facts import each_rollout  # noqa: PLC0415
+    from .facts import rollout_fact  # noqa: PLC0415
+
+    def expand(row: Any) -> Iterator[Row]:
+        attempt = (row.worker, row.attempts, row.wall_seconds, row.cpu_seconds)
+        of_block = row.starts is not None
+        starts = np.frombuffer(row.starts).reshape(row.tests, -1).tolist() if of_block else [json.loads(row.x)]
+        for fact in filter(wanted, each_rollout(rollout_fact(row))):
+            which = (str(fact.rollout), *fact.rollout, fact.seed)
+            found = (fact.robustness, int(fact.by_tolerance), fact.ended, fact.path, fact.size, fact.sha256)
+            yield *which, *starts[fact.rollout.test - row.first], *found, *attempt
+
     robustness = ExportColumn("robustness", unit=robustness_unit(header.config, header.spec))
     columns = (*_ROLLOUT, *_starts(header), robustness, *_REMARKS, *_FILE, *_ATTEMPT)
-    return ExportTable(name, columns, query, _rollout_row)
-
-
-def _rollout_row(row: Any) -> Iterator[Row]:
-    which = (row.id, row.problem, row.test, row.variant, row.replicate, row.seed)
-    attempt = (row.worker, row.attempts, row.wall_seconds, row.cpu_seconds)
-    file = (row.path, row.size, row.sha256)
-    yield *which, *json.loads(row.x), row.robustness, row.by_tolerance, row.ended, *file, *attempt
+    return ExportTable(name, columns, query, expand)
 
 
 # failures

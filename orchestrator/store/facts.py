@@ -104,13 +104,12 @@ def fact_row(fact: StoredFact) -> tuple[str, dict[str, Any]]:
             table = "tests"
         case RolloutFact(rollout):
             row = rollout._asdict() | {name: getattr(fact, name) for name in _OF_ROLLOUT}
-            violations = int(fact.robustness is not None and fact.robustness < 0)
             row |= {
                 "block": rollout.test,
                 "replicates": 1,
                 "places": 1,
                 "rollouts": 1,
-                "violations": violations,
+                "violations": int(fact.violates),
                 **dict.fromkeys(_OF_BATCH),
             }
             table = "rollouts"

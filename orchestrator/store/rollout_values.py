@@ -1,24 +1,24 @@
 """The robustness of recorded rollouts that were added to a campaign database since the last call."""
 
+from array import array
 from pathlib import Path
 from typing import NamedTuple
 
 from .readonly import snapshot
 
 _ADDED = """
-    SELECT seq, problem, variant, test, robustness FROM each_rollout
+    SELECT seq, problem, variant, test, replicates, robustness, robustness_of FROM rollouts
     WHERE seq > ? AND robustness IS NOT NULL ORDER BY seq
 """
 
 
-class AddedValue(NamedTuple):
-    """The robustness of one rollout, clipped."""
+class AddedValues(NamedTuple):
+    """The robustness of the rollouts of one variant that were recorded at once, clipped, with the test of each."""
 
-    seq: int
     problem: str
     variant: str
-    test: int
-    robustness: float
+    tests: "array[int]"
+    robustness: "array[float]"
 
 
 class RolloutValueReader:
@@ -28,7 +28,7 @@ class RolloutValueReader:
         self._directory = directory
         self._seq = 0
 
-    def read(self) -> list[AddedValue]:
+    def read(self) -> list[AddedValues]:
         """Return what was added, in the order of the database; rollouts without a robustness are left out.
 
         Raises:
@@ -37,6 +37,14 @@ class RolloutValueReader:
 
         """
         with snapshot(self._directory) as connection:
-            found = [AddedValue(*row) for row in connection.execute(_ADDED, [self._seq])]
-        self._seq = max((each.seq for each in found), default=self._seq)
+            rows = connection.execute(_ADDED, [self._seq]).fetchall()
+            found = [AddedValues(problem, variant, *_each(*row)) for _, problem, variant, *row in rows]
+        self._seq = max((row[0] for row in rows), default=self._seq)
         return found
+
+
+def _each(test: int, replicates: int, least: float, column: bytes | None) -> "tuple[array[int], array[float]]":
+    """Return test and robustness of each rollout of a row; NaN is that of a rollout that failed."""
+    values = array("d", [least] if column is None else column)
+    kept = [(test + place // replicates, value) for place, value in enumerate(values) if value == value]  # noqa: PLR0124
+    return array("q", (each for each, _ in kept)), array("d", (value for _, value in kept))

@@ -119,6 +119,11 @@ class RolloutFact:
     batch: str = ""
     """Of a rollout of a batch: the sha256 of the file that it shares with the others; `sha256` is then its own."""
 
+    @property
+    def violates(self) -> bool:
+        """Whether it violates the specification."""
+        return self.robustness is not None and self.robustness < 0
+
 
 @dataclass(frozen=True, slots=True)
 class DiscardFact:

@@ -11,6 +11,7 @@ from pathlib import Path
 from ....schemas.errors import JournalError, PerfboundError
 from ....schemas.file.parts import parts_of
 from ....schemas.ids import CLOSING, closing_check
+from ....schemas.result.block_facts import BlockProposalFact
 from ....schemas.result.certificate import Certificate
 from ....schemas.result.facts import ExtensionFact, Header, ProposalFact
 from ....schemas.result.known import SoFar
@@ -36,6 +37,7 @@ from . import wording
 from .cards import live_card, provenance
 from .complete import ProblemCompleter, ending_counterexample
 from .problem import ProblemCollector
+from .recorded_tests import ProposedTests
 from .scenes import SceneCache, bounded_scenes
 from .trust import TrustStatistics
 from .violations import ViolationStatistics
@@ -61,8 +63,8 @@ class Collector:
         self._header: Header | None = None
         self._certificate: Certificate | None = None
         self._problems: dict[str, ProblemCollector] = {}
-        self._checked: dict[tuple[str, int], tuple[float, ...]] = {}
-        """The start of each test of a closing check."""
+        self._checked: dict[str, ProposedTests] = {}
+        """The tests of each closing check."""
         self._start = partial(_start_of, self._problems, self._checked)
         self._workers, self._trust = WorkerStatistics(), TrustStatistics()
         self._violations = ViolationStatistics(self.directory)
@@ -97,12 +99,12 @@ class Collector:
         """
         if self._header is None:
             self.refresh()
-        if (problem, test) in self._checked:
+        if problem in self._checked and self._start(problem, test) is not None:
             return self._rollouts(problem, test)
         if problem not in self._problems:
             known = ", ".join(self._problems)
             raise PerfboundError(f"{self.directory}: no problem {problem[:80]!r}; choose one of {known}")
-        number = len(self._problems[problem].starts)
+        number = len(self._problems[problem].proposed)
         if not 0 <= test < number:
             raise PerfboundError(f"{self.directory}: {problem} has no test {test}; choose one of the {number}")
         return self._rollouts(problem, test)
@@ -142,8 +144,8 @@ class Collector:
                 elif closing_check(fact.problem) is None:
                     for collector in _collectors_of(self._problems.values(), fact.problem):
                         collector.add(fact)
-                elif isinstance(fact, ProposalFact):
-                    self._checked[fact.problem, fact.test] = fact.proposal.x
+                elif isinstance(fact, ProposalFact | BlockProposalFact):
+                    self._checked.setdefault(fact.problem, ProposedTests()).add(fact)
             for problem, number in changes.rollouts.items():
                 if (check := closing_check(problem)) is not None:
                     self._closing[check] = self._closing.get(check, 0) + number
@@ -244,16 +246,11 @@ class Collector:
 
 
 def _start_of(
-    problems: Mapping[str, ProblemCollector],
-    checked: Mapping[tuple[str, int], tuple[float, ...]],
-    series: str,
-    test: int,
+    problems: Mapping[str, ProblemCollector], checked: Mapping[str, ProposedTests], series: str, test: int
 ) -> tuple[float, ...] | None:
     """Return the start of a test of a problem or closing check; None for one that is not known."""
-    if closing_check(series):
-        return checked.get((series, test))
-    starts = problems[series].starts if series in problems else []
-    return starts[test] if test < len(starts) else None
+    found = checked.get(series) if closing_check(series) else problems[series].proposed if series in problems else None
+    return None if found is None else found.start(test)
 
 
 def _options_of(sessions: Sequence[Session]) -> str | None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ....schemas.result.certificate import Counterexample, Predicate, ProblemResult
 from ....schemas.result.facts import Header, RolloutFact
 from ...store.export_tables import robustness_unit
-from ...store.rollout_values import AddedValue, RolloutValueReader
+from ...store.rollout_values import AddedValues, RolloutValueReader
 from ..data.bars import bar_counts, edges_over
 from ..data.charts import Prediction, ProblemCharts, RolloutHistogram, VariantCounts
 from ..data.page import Problem, RegionMap
@@ -27,18 +27,18 @@ Clip = tuple[float, float] | None
 
 
 class RolloutValues:
-    """The robustness of the rollouts so far, by problem and variant: 12 bytes a rollout. Not thread-safe."""
+    """The robustness of the rollouts so far, by problem and variant: 16 bytes a rollout. Not thread-safe."""
 
     def __init__(self) -> None:
         self._values: dict[tuple[str, str], tuple[array[float], array[int]]] = {}
 
-    def add(self, added: Iterable[AddedValue]) -> None:
+    def add(self, added: Iterable[AddedValues]) -> None:
         """Add rollouts."""
         for each in added:
             key = each.problem, each.variant
-            values, tests = self._values.setdefault(key, (array("d"), array("l")))
-            values.append(each.robustness)
-            tests.append(each.test)
+            values, tests = self._values.setdefault(key, (array("d"), array("q")))
+            values.extend(each.robustness)
+            tests.extend(each.tests)
 
     def histogram(self, problem: str, clip: Clip, unit: str) -> RolloutHistogram | None:
         """Return the histogram of a problem, with common edges for its variants; None without a robustness."""
@@ -62,7 +62,7 @@ def _counts(
     low, high = clip or (-np.inf, np.inf)
     return VariantCounts(
         variant=variant,
-        counts=tuple(bar_counts(values.tolist(), edges)),
+        counts=tuple(bar_counts(values, edges)),
         rollouts=len(values),
         violations=int((values < 0).sum()),
         least=float(values.min()),
@@ -157,7 +157,7 @@ def ending_counterexample(
 
 
 def _of_facts(problem: ProblemCollector, worst: RolloutFact) -> Counterexample:
-    plan, start = problem.plan, problem.starts[worst.rollout.test]
+    plan, start = problem.plan, problem.proposed.proposal(worst.rollout.test).x
     return Counterexample(
         rollout=str(worst.rollout),
         test=worst.rollout.test,

@@ -1,35 +1,45 @@
 """The rollouts at drawn starts as a histogram of their robustness, with the bounds that are numbers of its axis."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ....schemas.file.drawn_claims import PROBABILITIES, SAMPLED, ClaimRequest
 from ...campaign.plan import ProblemPlan
 from ...mathematics.bounds.sample import SampleMethod
 from ..data.bars import bar_counts, edges_over
 from ..data.page import Drawn, Mark
+from .recorded_tests import Floats
 
 REACH = 0.5
 """The axis reaches a bound that is at most this share of the spread beyond the values."""
 
 
-def histograms(plan: ProblemPlan, method: SampleMethod, tests: Mapping[int, Sequence[float]], unit: str) -> list[Drawn]:
+def histograms(
+    plan: ProblemPlan, method: SampleMethod, tests: NDArray[np.intp], each: Floats, unit: str
+) -> list[Drawn]:
     """Return the histogram of the whole specification, then that of each requirement.
 
-    `tests` has the robustness of each drawn test by its number, as in its observation; there is at least one.
+    `tests` (n,) are the numbers of the drawn tests, at least one, and `each` (n, w) the robustness as observed there.
     """
     names = (None, *plan.requirements)
-    width = len(next(iter(tests.values()))) // len(names)
+    width = int((~np.isnan(each[0])).sum()) // len(names)
     return [
-        _histogram(plan, method, {test: each[place * width] for test, each in tests.items()}, (place, name), unit)
+        _histogram(plan, method, (tests, each[:, place * width]), (place, name), unit)
         for place, name in enumerate(names)
     ]
 
 
 def _histogram(
-    plan: ProblemPlan, method: SampleMethod, tests: Mapping[int, float], which: tuple[int, str | None], unit: str
+    plan: ProblemPlan,
+    method: SampleMethod,
+    drawn: tuple[NDArray[np.intp], Floats],
+    which: tuple[int, str | None],
+    unit: str,
 ) -> Drawn:
-    values = list(tests.values())
-    low, high = min(values), max(values)
+    tests, values = drawn
+    low, high = float(values.min()), float(values.max())
     bounds = [
         (claim.asked, method.found(number)) for number, claim in enumerate(plan.claims) if claim.place == which[0]
     ]
@@ -40,12 +50,12 @@ def _histogram(
         requirement=which[1],
         edges=tuple(edges),
         counts=tuple(bar_counts(values, edges)),
-        violations=sum(value < 0 for value in values),
-        zeros=sum(value == 0 for value in values),
+        violations=int((values < 0).sum()),
+        zeros=int((values == 0).sum()),
         unit=unit,
         marks=marks,
         failure=next((bound for asked, bound in bounds if asked.quantity == "failure_probability"), None),
-        worst=min(tests, key=lambda test: (tests[test], test)),
+        worst=int(tests[values.argmin()]),  # of equal ones the first
         least=low,
     )
 

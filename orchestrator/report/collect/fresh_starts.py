@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 from ....schemas.ids import SPOT_CHECK, closing_check
+from ....schemas.result.block_facts import BlockObservationFact, BlockProposalFact
 from ....schemas.result.certificate import Predicate, SpotCheckedProblem
 from ....schemas.result.facts import ObservationFact, ProposalFact, RolloutFact
 from ...campaign.plan import ProblemPlan
@@ -49,6 +50,9 @@ class FreshStarts:
                 # Follow-ups go to the most suspicious starts: with them the values would no longer be a fair sample.
                 found.first = found.first or fact.observation.each
                 found.every.append(fact.observation.each)
+            case BlockProposalFact() | BlockObservationFact() if closing_check(fact.problem) == SPOT_CHECK:
+                for each in fact.each():
+                    self.add(each)
 
     def add_violation(self, fact: RolloutFact) -> None:
         """Add a rollout that violates the specification, after the proposal of its test; others are left out."""

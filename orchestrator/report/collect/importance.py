@@ -1,7 +1,6 @@
 """The importance of each parameter of a problem, from its posterior mean or from what was observed at drawn starts."""
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -43,14 +42,13 @@ def of_model(plan: ProblemPlan, mean: Floats) -> Importance | None:
     return Importance(True, box.size, None, tuple(parameters))
 
 
-def of_drawn_tests(starts: Sequence[Sequence[float]], observed: Sequence[float]) -> Importance | None:
-    """Return the importance for values that were observed at starts that are drawn independently of one another.
+def of_drawn_tests(x: Floats, y: Floats) -> Importance | None:
+    """Return the importance for values `y` (n,) that were observed at starts `x` (n, p), drawn independently.
 
     None for fewer than `FEWEST`, for one parameter, and for values that are all equal.
     """
-    if len(starts) < FEWEST or len(starts[0]) < 2:
+    if len(x) < FEWEST or x.shape[1] < 2:
         return None
-    x, y = np.array(starts), np.array(observed)
     shares = sample_indices(x, y)
     if shares is None:
         return None

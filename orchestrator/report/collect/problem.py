@@ -4,19 +4,20 @@ Facts are in terms of the maximised objective J; the data carry the sign of the 
 lower change places for a minimum.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ....schemas.file.config import CampaignConfig
 from ....schemas.file.parts import alpha_of
+from ....schemas.result.block_facts import BlockObservationFact, BlockProposalFact
 from ....schemas.result.certificate import Predicate, ProblemResult
 from ....schemas.result.facts import BoundFact, ExtensionFact, Header, ObservationFact, ProposalFact
-from ....schemas.values import MARKED, Bound, Guess, Observation, ProblemProgress, Proposal, StoppedBy, distance_after
+from ....schemas.values import MARKED, Bound, Guess, Observation, ProblemProgress, StoppedBy, distance_after
 from ...campaign import consistency
 from ...campaign.clip import by_clip, floored
 from ...campaign.methods import PartMethod, ProblemMethod, method
@@ -33,6 +34,7 @@ from ..data.page import Drawn, Problem, RegionMap, Surface
 from . import band, importance, limits
 from .drawn import histograms
 from .observed import observed_series, signed, worst_first
+from .recorded_tests import Observed, ObservedTests, ProposedTests
 from .regions import region_map
 from .wording import typeset
 
@@ -45,13 +47,13 @@ def empty_charts(config: CampaignConfig, plan: ProblemPlan) -> ProblemCharts:
 
 
 def charts_after(
-    charts: ProblemCharts, plan: ProblemPlan, method: ProblemMethod, bound: Bound, observed: Sequence[ObservedTest]
+    charts: ProblemCharts, plan: ProblemPlan, method: ProblemMethod, bound: Bound, observed: ObservedTests
 ) -> ProblemCharts:
     """Return the charts of a problem after its last observed test, whose bound is `bound`."""
     if isinstance(method, SampleMethod):
-        drawn = [each for each in observed if plan.is_drawn(each.test)]
-        starts, values = [each.proposal.x for each in drawn], [each.observation.each[0] for each in drawn]
-        return replace(charts, importance=importance.of_drawn_tests(starts, values))
+        drawn = drawn_tests(plan, observed)
+        found = importance.of_drawn_tests(observed.x[drawn], observed.each[drawn, 0])
+        return replace(charts, importance=found)
     uncut = np.array(method.band(bound).mean)
     mean = limits.within(uncut, plan)
     beyond = ~np.isnan(uncut) & (uncut != mean)
@@ -61,6 +63,9 @@ def charts_after(
 
 Own = Callable[[Observation], Observation]
 """The observation of one requirement in that of a test."""
+
+SOME = 1000
+"""Tests among which the worst starts are sought at once."""
 
 
 class ProblemCollector:
@@ -73,16 +78,15 @@ class ProblemCollector:
     def __init__(self, header: Header, plan: ProblemPlan, config: CampaignConfig, own: Own | None = None) -> None:
         self.problem = plan.problem
         self.rollouts = 0
-        self.starts: list[tuple[float, ...]] = []
-        """z of every proposed test."""
-        self.observed: list[ObservedTest] = []
+        self.proposed = ProposedTests()
+        self.observed = ObservedTests(self.proposed)
         self.plan, self._method, self._header = plan, method(plan, header), header
         self._config, self._own = config, own
         self._bound: Bound | None = None
         self._sense = plan.sense
-        self._proposals: dict[int, ProposalFact] = {}
-        self._values: dict[int, ObservationFact] = {}
-        self._pending: list[tuple[Proposal, Observation]] = []
+        self._values: list[Observed] = []
+        """Observations without a bound."""
+        self._pending: list[Observed] = []
         """Observations not yet passed to the method."""
         self._surfaces: tuple[Surface, ...] = ()
         self.charts = empty_charts(header.config, plan)
@@ -100,30 +104,29 @@ class ProblemCollector:
         """Add the next fact of this problem.
 
         Raises:
-            KeyError: an earlier fact is missing.
+            ValueError: an earlier fact is missing.
 
         """
         match fact:
-            case ProposalFact():
-                self._proposals[fact.test] = fact
-                self.starts.append(fact.proposal.x)
-            case ObservationFact():
-                fact = fact if self._own is None else replace(fact, observation=self._own(fact.observation))
+            case ProposalFact() | BlockProposalFact():
+                self.proposed.add(fact)
+            case ObservationFact() | BlockObservationFact():
+                own = fact if self._own is None else _of_requirement(fact, self._own)
+                # A search, whose tests are not all evidence, has no block.
                 if self.plan.is_evidence(fact.test):
-                    self._pending.append((self._proposals[fact.test].proposal, fact.observation))
-                self._values[fact.test] = fact
+                    self._pending.append(own)
+                self._values.append(own)
             case BoundFact():
                 fact = fact if self._own is None else replace(fact, bound=Bound(None, None, fact.bound.verdict))
-                for test in range(len(self.observed), fact.test + 1):  # several where it is that of a block
-                    proposal, observation = self._proposals.pop(test), self._values.pop(test)
-                    self.observed.append(ObservedTest.of(proposal, observation, fact))
+                self.observed.add(self._values, fact)
+                self._values.clear()
 
     def extend(self, fact: ExtensionFact) -> None:
         """Take an extension of the campaign: with a larger budget the last bound is no end any more."""
         budget = dict(fact.budgets).get(self.problem.name)
         self._extended = budget or self._extended
-        if budget and self.observed:
-            self.observed[-1] = replace(self.observed[-1], stopped_by=None)
+        if budget and len(self.observed):
+            self.observed.extend()
 
     def data(self, result: ProblemResult | None) -> Problem:
         """Return the data of the problem; `result` is its part of the certificate.
@@ -132,7 +135,7 @@ class ProblemCollector:
             ValueError: the method cannot continue.
 
         """
-        problem, last = self.problem, self.observed[-1] if self.observed else None
+        problem, last = self.problem, self.observed.last
         if last and self._described != len(self.observed):
             self._described = len(self.observed)
             self._bound = self._bound_after(last)
@@ -174,7 +177,7 @@ class ProblemCollector:
                 extended=self._extended,
                 planned=self._planned,
             )
-            if self.observed and not self._own
+            if len(self.observed) and not self._own
             else None,
             surfaces=self._surfaces,
             tests=self._tests,
@@ -190,34 +193,49 @@ class ProblemCollector:
 
     def regions(self, directory: Path, predicate: Predicate | None) -> RegionMap | None:
         """Return the regions of a finished campaign; None for any other."""
-        if predicate is None or predicate.regions is None or not self.observed:
+        if predicate is None or predicate.regions is None or not len(self.observed):
             return None
         return region_map(directory, self.plan, predicate, self._worst_start)
 
     @property
     def ended_by_counterexample(self) -> ObservedTest | None:
         """The last test, if a rollout of it ended the campaign."""
-        last = self.observed[-1] if self.observed else None
+        last = self.observed.last
         return last if last and last.stopped_by == "counterexample" else None
 
     def worst_tests(self, number: int) -> list[int]:
         """Return the worst test of each of the worst `number` starts, the worst first."""
-        found: dict[tuple[float, ...], int] = {}
-        for each in worst_first(self.plan, self.observed):
-            found.setdefault(each.proposal.x, each.test)
-        return list(islice(found.values(), number))
+        found, order = dict[tuple[float, ...], int](), worst_first(self.plan, self.observed)
+        for first in range(0, len(order), SOME):  # of very many tests the first have as many starts
+            some = order[first : first + SOME]
+            for test, x in zip(some.tolist(), self.observed.x[some].tolist(), strict=True):
+                found.setdefault(tuple(x), test)
+            if len(found) >= number:
+                break
+        return list(found.values())[:number]
 
     @property
     def _worst_start(self) -> tuple[float, ...]:
-        return worst_first(self.plan, self.observed)[0].proposal.x
+        return self.observed[int(worst_first(self.plan, self.observed)[0])].proposal.x
 
     def _bound_after(self, last: ObservedTest) -> Bound:
         """Give the pending observations to the method and return the bound after them, which is that of `last`."""
+        blocks = [each for each in self._pending if isinstance(each, BlockObservationFact)]
+        if blocks:
+            nodes = np.concatenate([self.proposed.block(each.test).nodes for each in blocks])
+            y, contributions = [each.y for each in blocks], [each.contributions for each in blocks]
+            self._method.recall_each(nodes, np.concatenate(y), np.concatenate(contributions))
+        tests = [
+            (self.proposed.proposal(each.test), each.observation)
+            for each in self._pending
+            if isinstance(each, ObservationFact)
+        ]
         if self._own is None:
-            self._method.recall(self._pending)
+            if not blocks:
+                self._method.recall(tests)
             return last.bound
         assert isinstance(self._method, PartMethod), "no other method bounds each requirement"
-        return self._method.bound_after(self._pending)
+        return self._method.bound_after(tests)
 
     def _partner(self) -> float | None:
         # That of the largest objective is false if any of theirs is: no single delta covers it.
@@ -229,10 +247,9 @@ class ProblemCollector:
         return verdict or (last.stopped_by if last else None)
 
     def _histograms(self, method: SampleMethod) -> list[Drawn]:
-        header = self._header
-        values = {each.test: each.observation.each for each in self.observed if self.plan.is_drawn(each.test)}
+        tests, unit = drawn_tests(self.plan, self.observed), robustness_unit(self._config, self._header.spec)
         # A search may have found its counterexample before the first drawn start.
-        return histograms(self.plan, method, values, robustness_unit(self._config, header.spec)) if values else []
+        return histograms(self.plan, method, tests, self.observed.each[tests], unit) if len(tests) else []
 
     def _probability(self, last: ObservedTest | None) -> float | None:
         """Return the probability of the current bound; None where there is no valid one."""
@@ -243,21 +260,36 @@ class ProblemCollector:
         return self._method.probability
 
     def _contradictions(self) -> tuple[str, ...]:
-        each = [test.observation.each[: self.plan.replicates] for test in self.observed]
-        y = [test.observation.y for test in self.observed]
+        each = self.observed.of_replicates(self.plan.replicates)
         robustness = consistency.robustness_of(self.problem, each)
-        found = consistency.of_tests(self.plan, y, each, robustness)
+        found = consistency.of_tests(self.plan, self.observed.y.tolist(), each, robustness)
         return tuple(map(typeset, (*consistency.of_plan(self.plan, self._header.spec), *found.values())))
 
     def _left(self) -> str | None:
-        if self._own is not None or not self.observed:
+        if self._own is not None or not len(self.observed):
             return None  # its tests are those of the whole
         left = remaining_tests(self._config, self.problem, _progress_of(self.observed, self.rollouts, self._extended))
         return None if left is None else left_in_words(self._config, self.problem, left)
 
 
-def _progress_of(observed: Sequence[ObservedTest], rollouts: int, extended: int | None) -> ProblemProgress:
-    marked = (each for each in observed if each.test + 1 in MARKED)
+def drawn_tests(plan: ProblemPlan, observed: ObservedTests) -> NDArray[np.intp]:
+    """Return the numbers of the observed tests whose starts are drawn."""
+    tests = np.arange(len(observed))
+    # Without a search every one: a million is not asked for one by one.
+    return tests if plan.falsify is None else tests[[plan.is_drawn(test) for test in tests.tolist()]]
+
+
+def _of_requirement(fact: Observed, own: Own) -> Observed:
+    """Return the observations of one requirement in those of the whole."""
+    if isinstance(fact, ObservationFact):
+        return replace(fact, observation=own(fact.observation))
+    found = [own(each.observation) for each in fact.each()]
+    y, each = np.array([one.y for one in found]), np.array([one.each for one in found])
+    return BlockObservationFact.of(fact.problem, fact.test, y, each)
+
+
+def _progress_of(observed: ObservedTests, rollouts: int, extended: int | None) -> ProblemProgress:
+    marked = (observed[tests - 1] for tests in sorted(MARKED) if tests <= len(observed))
     points = ((each.test + 1, each.bound.upper, distance_after(each.bound, each.proposal.F)) for each in marked)
     course = tuple((tests, upper, away) for tests, upper, away in points if upper is not None)
     last = observed[-1]
@@ -267,7 +299,7 @@ def _progress_of(observed: Sequence[ObservedTest], rollouts: int, extended: int 
 def _outlook(
     config: CampaignConfig,
     plan: ProblemPlan,
-    observed: Sequence[ObservedTest],
+    observed: ObservedTests,
     *,
     rollouts: int,
     extended: int | None,

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 BINS = 40
 """At most so many bars, about."""
@@ -31,7 +32,7 @@ def edges(low: float, high: float) -> list[float]:
     return [float(f"{k * width:.12g}") for k in range(first, last + 1)]
 
 
-def bar_counts(values: Sequence[float], ends: Sequence[float]) -> list[int]:
+def bar_counts(values: ArrayLike, ends: Sequence[float]) -> list[int]:
     """Return the number of values in each bar; one that is an end belongs to the bar above it.
 
     >>> bar_counts([-0.1, 0.0, 0.2, 0.3], [-0.2, 0.0, 0.2, 0.4])

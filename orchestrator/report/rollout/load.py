@@ -1,6 +1,5 @@
 """A recorded rollout: its fact, its file, and its request."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,11 +12,11 @@ from ....schemas.result.facts import Header, RolloutFact
 from ....schemas.rollout import RolloutRequest
 from ....schemas.trajectory.trajectory import Trajectory
 from ...store import tables
-from ...store.facts import each_rollout_fact
+from ...store.changes import proposal_in, rollouts_in
 from ...store.read import read_header, reading
 from .of_tests import read_recorded
 
-_rollouts, _tests = tables.rollouts.c, tables.tests.c
+_rollouts = tables.rollouts.c
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,17 +64,11 @@ def _find(connection: Connection, header: Header, directory: Path, text: str) ->
         raise PerfboundError(
             f"{text!r} names no rollout; use problem.test.variant.replicate, e.g. {_example(connection)}"
         ) from None
-    each = tables.each_rollout.c
-    of_test = (each.problem == rollout.problem) & (each.test == rollout.test)
-    rows = connection.execute(sa.select(tables.each_rollout).where(of_test))
-    found = {fact.rollout: fact for fact in map(each_rollout_fact, rows)}
+    found = {fact.rollout: fact for fact in rollouts_in(connection, directory, rollout.problem, rollout.test)}
     if rollout not in found:
         existing = _existing(connection, header, rollout, [str(each) for each in sorted(found)])
         raise PerfboundError(f"{directory}: no rollout {rollout} is recorded; {existing}")
-    test = tables.each_test.c
-    where = (test.problem == rollout.problem) & (test.test == rollout.test)
-    (x,) = connection.execute(sa.select(test.x).where(where)).one()
-    return found[rollout], tuple(json.loads(x))
+    return found[rollout], proposal_in(connection, directory, rollout.problem, rollout.test).x
 
 
 def _example(connection: Connection) -> str:

@@ -1,6 +1,7 @@
 """The data of the charts: requirement and clip, importance, prediction at fresh starts, robustness of all rollouts."""
 
 import sqlite3
+from array import array
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from perfbound.orchestrator.report.collect.complete import RolloutValues
 from perfbound.orchestrator.report.collect.posterior import posterior
 from perfbound.orchestrator.report.data.bars import bar_counts, edges
 from perfbound.orchestrator.report.data.page import Problem, to_json
-from perfbound.orchestrator.store.rollout_values import AddedValue
+from perfbound.orchestrator.store.rollout_values import AddedValues
 from perfbound.workers.systems import load_system
 from tests.fakes.finished import a_list, a_pair, finish, play
 
@@ -147,9 +148,9 @@ def test_a_model_without_variation_or_with_gaps_has_no_importance() -> None:
 
 def test_few_tests_say_nothing_about_importance() -> None:
     x = np.random.default_rng(2).uniform(size=(200, 3))
-    y = x[:, 2].tolist()
-    assert importance.of_drawn_tests(x[:49].tolist(), y[:49]) is None
-    found = importance.of_drawn_tests(x.tolist(), y)
+    y = x[:, 2]
+    assert importance.of_drawn_tests(x[:49], y[:49]) is None
+    found = importance.of_drawn_tests(x, y)
     assert found is not None
     assert found.chance is not None
     assert found.parameters[0].axis == 2
@@ -159,8 +160,10 @@ def test_few_tests_say_nothing_about_importance() -> None:
 
 def test_a_histogram_tells_its_variants_and_the_clip() -> None:
     values = RolloutValues()
-    rows = [("p", "true", 0, -2.0), ("p", "true", 1, -2.0), ("p", "true", 2, 0.0), ("p", "nominal", 2, 3.0)]
-    values.add(AddedValue(seq, *row) for seq, row in enumerate([*rows, ("q", "true", 0, 9.0)]))
+    rows = [("p", "true", [0, 1], [-2.0, -2.0]), ("p", "true", [2], [0.0]), ("p", "nominal", [2], [3.0])]
+    values.add(
+        AddedValues(*row[:2], array("q", row[2]), array("d", row[3])) for row in [*rows, ("q", "true", [0], [9.0])]
+    )
     found = values.histogram("p", (-2.0, 3.0), "m")
     assert found is not None
     nominal, true = found.variants
@@ -183,10 +186,10 @@ def test_bars_end_at_their_edges() -> None:
 def test_a_hundred_thousand_rollouts_fit_in_the_page(tmp_path: Path, no_disk: None) -> None:
     finish(play(tmp_path, CONFIGS["rigorous"]), tmp_path)
     values = RolloutValues()
-    y = np.random.default_rng(4).normal(size=100_000).tolist()
-    values.add(AddedValue(seq, "p", "true", seq, value) for seq, value in enumerate(y))
+    y = np.random.default_rng(4).normal(size=100_000)
+    values.add([AddedValues("p", "true", array("q", range(100_000)), array("d", y))])
     many = values.histogram("p", None, "m")
-    found = importance.of_drawn_tests(np.random.default_rng(5).uniform(size=(100_000, 12)).tolist(), y)
+    found = importance.of_drawn_tests(np.random.default_rng(5).uniform(size=(100_000, 12)), y)
     report = Collector(tmp_path).refresh()
     charts = replace(report.problems[0].charts, rollouts=many, importance=found)
     larger = replace(report, problems=(replace(report.problems[0], charts=charts), *report.problems[1:]))
