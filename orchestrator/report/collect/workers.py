@@ -3,7 +3,7 @@
 from array import array
 from collections import deque
 from collections.abc import Container, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 
 from ....schemas.result.facts import NO_FAILURE, RECORDED
 from ...run.page.page_feed import LiveState
@@ -40,7 +40,10 @@ class _Totals:
 
 @dataclass(slots=True)
 class WorkerStatistics:
-    """Totals by worker, the times of all recorded rollouts, and the latest failed attempts."""
+    """Totals by worker, the times of all recorded results, and the latest failed attempts.
+
+    A result of a campaign in batches counts for as many rollouts as one has on average, as in `perfbound status`.
+    """
 
     _totals: dict[str, _Totals] = field(default_factory=dict)
     _hosts: dict[str, str] = field(default_factory=dict)
@@ -49,11 +52,15 @@ class WorkerStatistics:
     """Unix times of the sessions."""
     _system_failures: int = 0
     _failed: deque[FailedAttempt] = field(default_factory=lambda: deque(maxlen=MOST_FAILED))
+    _in_batches: bool = False
+    _rollouts: int = 0
 
     def add(self, changes: Changes) -> None:
         """Add the outcomes of new attempts."""
         self._hosts |= changes.hosts
         self._started = tuple(each.started for each in changes.sessions)
+        self._in_batches = changes.header.config.batch > 1
+        self._rollouts += sum(changes.rollouts.values())
         for outcome in changes.outcomes:
             self._totals.setdefault(outcome.worker, _Totals()).add(outcome)
             if outcome.outcome == RECORDED:
@@ -80,19 +87,27 @@ class WorkerStatistics:
         return WorkerRow(
             name=name,
             host=self._hosts.get(name, ""),
-            **asdict(self._totals.get(name, _Totals())),
+            **asdict(self._in_rollouts(self._totals.get(name, _Totals()))),
             **live.get(name, LiveState("unknown"))._asdict(),
         )
+
+    def _in_rollouts(self, totals: _Totals) -> _Totals:
+        return replace(totals, rollouts=round(totals.rollouts * self._batch))
+
+    @property
+    def _batch(self) -> float:
+        """Rollouts of a result."""
+        return self._rollouts / len(self._ended) if self._in_batches and self._ended else 1.0
 
     def throughput(self) -> Throughput:
         """Return the rollouts recorded over time."""
         ended = sorted(self._ended)  # results of several workers are not recorded in the order in which they ended
         positions = _positions(len(ended))
         return Throughput(
-            rate=rate(self._ended[-RECENT:], self._started),
+            rate=rate(self._ended[-RECENT:], self._started) * self._batch,
             start=ended[0] if ended else None,
             seconds=tuple(ended[at] - ended[0] for at in positions),
-            recorded=tuple(at + 1 for at in positions),
+            recorded=tuple(round((at + 1) * self._batch) for at in positions),
             sessions=len(self._started),
             failures=sum(each.failures for each in self._totals.values()),
             system_failures=self._system_failures,

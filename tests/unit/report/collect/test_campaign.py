@@ -620,6 +620,18 @@ def test_a_long_campaign_has_few_points(one: Path) -> None:
     assert (worker.rollouts, worker.failures, worker.busy_seconds, worker.last) == (5000, 1, 5010.0, 5000.0)
 
 
+def test_a_result_of_a_batch_counts_for_all_its_rollouts(one: Path) -> None:
+    statistics, about = WorkerStatistics(), ChangeReader(one).read().header
+    about = replace(about, config=about.config.model_copy(update={"batch": 8}))
+    outcomes = tuple(AttemptOutcome("r", 1, "w", "recorded", float(t), 0.5, 1.0) for t in range(10))
+    statistics.add(Changes(about, (), {"p": 80}, (), outcomes, {"w": "h"}, ()))
+    found = statistics.throughput()
+    assert (found.recorded[0], found.recorded[-1], found.seconds[-1]) == (8, 80, 9.0)
+    assert found.rate == pytest.approx(8.0)
+    ((worker,), _) = statistics.rows({})
+    assert (worker.rollouts, worker.busy_seconds) == (80, 10.0)
+
+
 def test_the_inputs_of_a_start_are_curves_with_their_steps() -> None:
     found = config("segway-paper")
     space = {
