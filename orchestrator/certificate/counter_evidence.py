@@ -304,8 +304,8 @@ def _mean_below(
     low, high = config.clip
     # One test for all starts: a bound at each would share delta among starts whose number nothing fixes.
     test = OppositeTest(required, low, high)
-    for start, found in by_start:
-        test.observe_each(start, [min(max(value, low), high) for value in found])
+    for start, values in by_start:
+        test.observe_each(start, [min(max(value, low), high) for value in values])
     # Values above the upper end may lift the mean itself over what is required.
     clip = hiding(config.clip, reach_of(config.formula), "mean", "<=")
     clipped = "" if clip is None else f", {clip_words(clip)},"

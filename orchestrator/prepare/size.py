@@ -89,4 +89,4 @@ def proposed_batch(seconds: float, size: int) -> int:
     (128, 1, 64)
     """
     most = min(BATCH_SECONDS / max(seconds, 1e-9), BATCH_BYTES / max(size, 1), LARGEST_BATCH)
-    return 2 ** max(int(math.log2(max(most, 1.0))), 0)
+    return 1 << int(math.log2(max(most, 1.0)))
