@@ -46,8 +46,6 @@ from .workers import WorkerStatistics
 
 WORST_STARTS = 8
 """Starts of each problem whose rollouts are part of the data."""
-MOST_COUNTEREXAMPLES = 1000
-"""Counterexamples in the data; counterexamples.csv lists all of them."""
 
 
 class Collector:
@@ -202,9 +200,9 @@ class Collector:
             ),
             counterexamples=tuple(
                 of_tests.described(fact, self._start(*fact.rollout[:2]) or (), command(str(fact.rollout)))
-                for fact in violations.facts[:MOST_COUNTEREXAMPLES]
+                for fact in violations.worst
             ),
-            violations=len(violations.facts),
+            violations=violations.number,
             later_violations=violations.later,
             ranked=violations.ranked,
             violating=violations.violating,
@@ -217,7 +215,7 @@ class Collector:
             more_workers=more,
             counterexample=ending_counterexample(
                 self._problems.values(),
-                violations.facts,
+                violations.worst,
                 predicate.counterexample if predicate else None,
                 header,
                 command,

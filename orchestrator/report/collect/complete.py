@@ -148,8 +148,14 @@ def ending_counterexample(
     """
     for each in problems:
         last = each.ended_by_counterexample
-        name = (each.problem.name, None if last is None else last.test)
-        worst = next((fact for fact in violations if fact.rollout[:2] == name), None)
+        if last is None:
+            continue
+        # A block ends as a whole, and the rollout may be of any of its tests.
+        tests = range(last.test + 1 - each.plan.machine.block, last.test + 1)
+        of_end = (
+            fact for fact in violations if fact.rollout.problem == each.problem.name and fact.rollout.test in tests
+        )
+        worst = next(of_end, None)
         if worst is not None:
             sentence = wording.counterexample_sentence(certified or _of_facts(each, worst), header)
             return FoundCounterexample(worst.rollout.problem, worst.rollout.test, sentence, command(str(worst.rollout)))

@@ -15,6 +15,8 @@ from ..data.ranges import ranges
 from ..data.rollouts import Rank, RankedTest, ViolatingStart, ViolatingStarts
 from .start_groups import grouped
 
+MOST_COUNTEREXAMPLES = 1000
+"""In the data; counterexamples.csv lists all of them."""
 Start = Callable[[str, int], tuple[float, ...] | None]
 """The start of a test of a problem or closing check; None for one that was proposed since."""
 
@@ -23,8 +25,12 @@ class ViolationStatistics:
     """Violations and ranks of the rollouts in `directory`; the database is asked again only after new rollouts."""
 
     def __init__(self, directory: Path) -> None:
-        self.facts: list[RolloutFact] = []
-        """All violations, the worst first."""
+        self.worst: list[RolloutFact] = []
+        """At most `MOST_COUNTEREXAMPLES` violations, the worst first."""
+        self.number = 0
+        """Of all violations."""
+        self.later = 0
+        """Of those in closing checks."""
         self._directory = directory
         self._new = True
         self._ranked: tuple[RankedTest, ...] = ()
@@ -33,8 +39,11 @@ class ViolationStatistics:
     def add(self, violations: Sequence[RolloutFact], *, changed: bool) -> None:
         """Add new violations; `changed` tells whether there are new rollouts or observations at all."""
         # A recheck repeats rollouts that have been counted.
-        self.facts += (fact for fact in violations if closing_check(fact.rollout.problem) != RECHECK)
-        self.facts.sort(key=lambda fact: (fact.robustness, fact.rollout))
+        new = [fact for fact in violations if closing_check(fact.rollout.problem) != RECHECK]
+        self.number += len(new)
+        self.later += sum(closing_check(fact.rollout.problem) is not None for fact in new)
+        found = sorted([*self.worst, *new], key=lambda fact: (fact.robustness, fact.rollout))
+        self.worst = found[:MOST_COUNTEREXAMPLES]
         self._new = self._new or changed
 
     def refresh(self, header: Header, start: Start) -> None:
@@ -48,13 +57,8 @@ class ViolationStatistics:
             found = ranked_tests(self._directory, header)
             # The database may have got a test since the facts were read; the next refresh has it.
             self._ranked = tuple(each for each in found if start(each.problem, each.test) is not None)
-            self._violating = self._grouped(header, start) if self.facts else None
+            self._violating = self._grouped(header, start) if self.number else None
             self._new = False
-
-    @property
-    def later(self) -> int:
-        """Number of violations in closing checks."""
-        return sum(closing_check(fact.rollout.problem) is not None for fact in self.facts)
 
     @property
     def ranked(self) -> tuple[RankedTest, ...]:

@@ -18,6 +18,7 @@ from perfbound.orchestrator.campaign.ledger import Ledger, Scored, observed_roll
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.issue import issue, manifest
 from perfbound.orchestrator.certificate.verify.run import verify_certificate
+from perfbound.orchestrator.report.collect.campaign import Collector
 from perfbound.orchestrator.report.collect.violations import ranked_tests, violating_starts
 from perfbound.orchestrator.store import facts as recorded_facts
 from perfbound.orchestrator.store import read
@@ -264,6 +265,16 @@ def test_readers_find_every_rollout_once(tmp_path: Path, failing: Callable[[Batc
     assert sorted((each.test, each.worst, each.violations) for each in starts) == [
         (each.test, values[each], 1) for each in sorted(values) if (values[each] or 0.0) < 0
     ]
+
+
+def test_a_block_ends_at_the_counterexample_that_the_report_shows(tmp_path: Path) -> None:
+    with played(tmp_path / "run", sampled(16, until_counterexample=True)) as play:
+        found = play.certify().predicate.counterexample
+    report = Collector(tmp_path / "run").refresh()
+    assert found is not None
+    assert report.counterexample is not None
+    assert report.counterexample.test == found.test
+    assert report.violations >= len(report.counterexamples) > 0
 
 
 @pytest.mark.parametrize("failing", [none, some])
