@@ -26,7 +26,9 @@ if TYPE_CHECKING:
         Trajectory,
         Worker,
         checked_options,
+        normal,
         system,
+        uniform,
     )
 
 __all__ = [
@@ -45,12 +47,14 @@ __all__ = [
     "Worker",
     "__version__",
     "checked_options",
+    "normal",
     "open",
     "read_certificate",
     "read_trajectory",
     "resume",
     "robustness",
     "system",
+    "uniform",
 ]
 _HOMES = {
     "Campaign": ".library.campaign",

@@ -6,6 +6,7 @@ from .schemas.trajectory.input_signal import InputSignal
 from .schemas.trajectory.trajectory import Trajectory, Transform, Visual
 from .workers.systems.base import Cancelled, Progress, SystemUnderTest, checked_options
 from .workers.systems.decorator import system
+from .workers.systems.noise import normal, uniform
 from .workers.systems.place import Worker
 
 __all__ = [
@@ -25,5 +26,7 @@ __all__ = [
     "Visual",
     "Worker",
     "checked_options",
+    "normal",
     "system",
+    "uniform",
 ]

@@ -275,7 +275,7 @@ def _most_suspicious(header: Header, by_start: ByStart, required: float) -> tupl
     for start, found in by_start:
         values.setdefault(start, []).extend(found)
     missing = {start: math.fsum(required - value for value in each) for start, each in values.items()}
-    worst = max(missing, key=lambda start: (missing[start], start), default=None)
+    worst = max(missing, key=missing.__getitem__, default=None)  # of several the one that was tested first
     if worst is None or missing[worst] <= 0.0:
         return ()
     number, below = len(values[worst]), sum(value < required for value in values[worst])

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ...schemas.ids import RECHECK, SHRINK, RolloutId, closing_check, series_order
+from ...schemas.ranges import LARGEST_BATCH
 from ...schemas.result.known import Violations
 from .readonly import snapshot
 
@@ -142,8 +143,8 @@ def _joined(block: int, tests: int, batches: Sequence[Any]) -> "tuple[int, array
     each = max(replicate + replicates for _, replicate, replicates, _, _ in batches)
     found = [array("d", [robustness]) if packed is None else array("d", packed) for *_, robustness, packed in batches]
     # Before memory is taken: the numbers of a damaged database may be any.
-    if tests * each > sum(map(len, found)):
-        raise ValueError(f"the batches of test {block} are not whole")
+    if tests * each > sum(map(len, found)) + LARGEST_BATCH:
+        raise ValueError(f"most rollouts of test {block} are missing")
     values = array("d", [math.nan]) * (tests * each)
     for (test, replicate, *_), batch in zip(batches, found, strict=True):
         first = (test - block) * each + replicate
