@@ -55,17 +55,22 @@ def test_the_numbers_have_their_distributions() -> None:
     assert stats.kstest(each[:, 0], "uniform").pvalue > 0.001
     assert stats.kstest(pb.normal(seeds, 250).ravel(), "norm").pvalue > 0.001
     others = pb.uniform(seeds, 250, stream=1)
-    pairs = [(each[:-1], each[1:]), (each[:, :-1], each[:, 1:]), (each, others)]
+    normal = pb.normal(seeds, 250)
+    pairs = [(each[:-1], each[1:]), (each[:, :-1], each[:, 1:]), (each, others), (normal[:, :-1], normal[:, 1:])]
     assert all(abs(np.corrcoef(a.ravel(), b.ravel())[0, 1]) < 0.015 for a, b in pairs)
 
 
-def test_normal_numbers_are_finite_at_both_ends() -> None:
-    ends = np.array([0.0, 1.0 - 2.0**-53])
-    found = [float(pb.normal([1], 1)[0, 0])]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(noise, "uniform", lambda *_, **__: ends)
-        found += pb.normal([1], 2).ravel().tolist()
-    assert np.isfinite(found).all()
+@given(SEEDS, st.integers(0, 9), st.integers(0, 9))
+def test_a_row_of_normal_numbers_follows_from_its_seed_alone(seeds: list[int], count: int, more: int) -> None:
+    every = pb.normal(np.array(seeds, dtype=np.uint64), count + more)
+    for row, seed in zip(every, seeds, strict=True):
+        assert pb.normal(np.array([seed], dtype=np.uint64), count)[0].tolist() == row[:count].tolist()
+
+
+def test_normal_numbers_are_finite_at_both_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    ends = [0.0, 1.0 - 2.0**-53]
+    monkeypatch.setattr(noise, "uniform", lambda *_, **__: np.array([[a, b] for a in ends for b in ends]))
+    assert np.isfinite(pb.normal([1, 2, 3, 4], 2)).all()
 
 
 @pytest.mark.parametrize("seeds", [[-1], [0.5], [[1]]])
