@@ -1,0 +1,69 @@
+"""Batches with real workers: the same bytes for any number of them and after kill -9, and a check that repeats some."""
+
+import random
+from pathlib import Path
+
+from tests.end_to_end.processes import Processes, query, wait_for
+
+SYSTEM = '''import numpy as np
+import perfbound as pb
+
+
+@pb.system(parameters={"a": pb.Parameter(0, 1, unit="m")}, columns={"x": "m"}, step=0.05, vectorised=True)
+def drift(a, *, seeds, horizon=1.0):
+    """A level with noise."""
+    return a[:, np.newaxis] + 0.1 * pb.normal(seeds, int(horizon / 0.05) + 1)
+'''
+CAMPAIGN = """name = "drift"
+seed = 5
+horizon = 1.0
+specification = "always (x > -0.2)"
+batch = 32
+clip = [-1.0, 2.0]
+claims = [{ quantity = "failure_probability", delta = 0.05 }, { quantity = "mean", delta = 0.05 }]
+
+[system]
+python = "drift.py:drift"
+
+[space]
+a = { low = 0, high = 1 }
+
+[[problems]]
+name = "robustness"
+method = "sample"
+max_tests = 6000
+"""
+
+
+def write(folder: Path) -> Path:
+    (folder / "drift.py").write_text(SYSTEM)
+    campaign = folder / "c.toml"
+    campaign.write_text(CAMPAIGN)
+    return campaign
+
+
+def recorded(directory: Path) -> int:
+    return sum(int(str(number)) for (number,) in query(directory, "SELECT rollouts FROM rollouts"))
+
+
+def test_workers_and_kills_change_no_byte(started: Processes, tmp_path: Path) -> None:
+    campaign = write(tmp_path)
+    ended = started.run("perfbound", "run", campaign, "--out", "calm", "--workers", "3")
+    assert ended.code == 0, ended.err
+    assert "6,000 rollouts" in ended.out
+    directory, rng = tmp_path / "killed", random.Random(1)
+    first = started.start("perfbound", "run", campaign, "--out", directory, "--workers", "1")
+    goal = rng.randint(100, 1500)
+    wait_for(lambda: recorded(directory) >= goal)
+    first.popen.kill()
+    first.wait()
+    assert not (directory / "certificate.json").exists(), "the kill has to come in mid-run"
+    assert started.run("perfbound", "resume", directory).code == 0
+    certificate = (tmp_path / "calm" / "certificate.json").read_bytes()
+    assert (directory / "certificate.json").read_bytes() == certificate
+    assert recorded(directory) == 6000 + 20
+    files = list((directory / "trajectories").rglob("*.mcap"))
+    assert len(files) == -(-6000 // 32) + 20, "one file for each batch, and one for each rollout that is repeated"
+    checked = started.run("perfbound", "verify", "calm", "--resimulate", "40", "--system", tmp_path / "drift.py:drift")
+    assert checked.code == 0, checked.out + checked.err
+    assert "VERIFIED" in checked.out
