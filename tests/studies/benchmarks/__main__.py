@@ -20,6 +20,7 @@ one_blas_thread()
 from tests.missing import MISSING, for_want_of_pybullet  # noqa: E402
 from tests.studies.benchmarks import report  # noqa: E402  (numpy reads the setting once)
 from tests.studies.benchmarks.parts import (  # noqa: E402  (numpy reads the setting once)
+    batches,
     campaign,
     disturbed,
     durability,
@@ -57,6 +58,7 @@ PARTS = (
     "campaign",
     "fleet",
     "durability",
+    "batches",
     "routing",
     "reactions",
     "throughput",
@@ -111,6 +113,8 @@ def measure(part: str, peers: dict[str, Any], *, alone: bool) -> list[report.Row
         return stl.main(stl.measured() if alone else child("stl"))
     if part == "durability":
         return durability.main(None if alone else lambda: child("peers_storage"))
+    if part == "batches":
+        return batches.main(None if alone else PEERS)
     if part == "falsification":
         return falsification.main(alone=alone)
     plain = {

@@ -38,7 +38,7 @@ def main() -> None:
 
 def _measure(storage: str, with_result: bool, threads: int) -> dict[str, float]:
     with tempfile.TemporaryDirectory(dir="build") as folder:
-        study = optuna.create_study(storage=_open(storage, folder), sampler=optuna.samplers.RandomSampler(0))
+        study = optuna.create_study(storage=open_storage(storage, folder), sampler=optuna.samplers.RandomSampler(0))
 
         def objective(trial: optuna.Trial) -> float:
             if with_result:
@@ -52,7 +52,8 @@ def _measure(storage: str, with_result: bool, threads: int) -> dict[str, float]:
         return {"per_second": count / wall, "cpu_ms": 1000 * cpu / count, "threads": threads}
 
 
-def _open(storage: str, folder: str) -> BaseStorage:
+def open_storage(storage: str, folder: str) -> BaseStorage:
+    """Open a storage in a folder."""
     if storage == "sqlite":
         return RDBStorage(f"sqlite:///{folder}/study.db", engine_kwargs={"connect_args": {"timeout": 60}})
     return JournalStorage(JournalFileBackend(f"{folder}/journal.log"))
