@@ -103,10 +103,10 @@ class Setting:
 
 
 SETTINGS = (
-    Setting(1, 100, 3_000),
-    Setting(16, 100, 30_000),
-    Setting(256, 100, 120_000),
-    Setting(1024, 100, 150_000),
+    Setting(1, 100, 1_500),
+    Setting(16, 100, 15_000),
+    Setting(256, 100, 100_000),
+    Setting(1024, 100, 120_000),
     Setting(256, 320, 50_000),
 )
 
