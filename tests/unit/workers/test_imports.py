@@ -75,12 +75,14 @@ def test_the_public_names_are_frozen() -> None:
         "Worker",
         "__version__",
         "checked_options",
+        "normal",
         "open",
         "read_certificate",
         "read_trajectory",
         "resume",
         "robustness",
         "system",
+        "uniform",
     ]
     assert perfbound.systems.__all__ == [
         "Cancelled",
@@ -99,6 +101,8 @@ def test_the_public_names_are_frozen() -> None:
         "Visual",
         "Worker",
         "checked_options",
+        "normal",
         "system",
+        "uniform",
     ]
     assert all(hasattr(perfbound.systems, name) for name in perfbound.systems.__all__)
