@@ -129,8 +129,7 @@ class ProblemDecisions:
         bound = self._refutation.ended(counterexample.ended(self._header.config, bound, series))
         # A method has no budget: its own verdict comes first, also at the last test.
         spent = bound.verdict is None and len(series.observations) >= self._account.budget
-        tests = len(fact) if isinstance(fact, BlockObservationFact) else 1
-        return BoundFact(fact.problem, fact.test + tests - 1, bound, budget=spent, tests=tests)
+        return BoundFact(fact.problem, fact.test + len(fact) - 1, bound, budget=spent, tests=len(fact))
 
     def seeds(self, first: RolloutId, tests: int, replicates: int) -> list[int]:
         """Return the seed of every rollout of a batch."""

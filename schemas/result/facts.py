@@ -101,6 +101,10 @@ class ProposalFact:
     test: int
     proposal: Proposal
 
+    def __len__(self) -> int:
+        """Return 1, the number of tests: a fact of a block has more."""
+        return 1
+
 
 @dataclass(frozen=True, slots=True)
 class RolloutFact:
@@ -146,6 +150,10 @@ class ObservationFact:
     test: int
     observation: Observation
     chain: str
+
+    def __len__(self) -> int:
+        """Return 1, the number of tests: a fact of a block has more."""
+        return 1
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,13 +34,13 @@ class ProposedTests:
         """Add the next proposal, of a test or of a block."""
         insort(self._firsts, fact.test)
         self._facts[fact.test] = fact
-        self._number += length(fact)
+        self._number += len(fact)
 
     def fact(self, test: int) -> Proposed | None:
         """Return the proposal of a test, or of its block; None where there is none."""
         place = bisect_right(self._firsts, test)
         found = self._facts[self._firsts[place - 1]] if place else None
-        return found if found is not None and test < found.test + length(found) else None
+        return found if found is not None and test < found.test + len(found) else None
 
     def block(self, first: int) -> BlockProposalFact:
         """Return the proposal of the block that begins with a test.
@@ -71,13 +71,7 @@ class ProposedTests:
 
     def start(self, test: int) -> tuple[float, ...] | None:
         """Return z of a test; None where it is not proposed."""
-        match self.fact(test):
-            case ProposalFact(proposal=found):
-                return found.x
-            case BlockProposalFact() as block:
-                return tuple(block.x[test - block.test].tolist())
-            case None:
-                return None
+        return None if self.fact(test) is None else self.proposal(test).x
 
 
 class ObservedTests:
@@ -183,8 +177,3 @@ class _Rows:
             self._room = wider
         self._room[self._number : number, : rows.shape[1]] = rows
         self._number = number
-
-
-def length(fact: Proposed | Observed) -> int:
-    """Return the number of tests of a fact."""
-    return len(fact) if isinstance(fact, BlockProposalFact | BlockObservationFact) else 1
