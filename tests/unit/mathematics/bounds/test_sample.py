@@ -241,14 +241,14 @@ class TestManyAtOnce:
 
     @staticmethod
     def check(name: str, each: Floats, cuts: Iterable[int], fixed: int | None) -> None:
-        one, many, recalled, told = (method_of(name, fixed=fixed) for _ in range(4))
+        one, many, recalled, listed = (method_of(name, fixed=fixed) for _ in range(4))
         for part in blocks(len(each), cuts):
             for row in each[part].tolist():
                 bound = one.observe(one.propose(), Observation(-row[0], tuple(row)))
             assert many.observe_each(*arrays(each[part])) == bound
             recalled.recall_each(*arrays(each[part]))
-            told.recall([(told.propose(), Observation(-row[0], tuple(row))) for row in each[part].tolist()])
-            assert facts(one) == facts(many) == facts(recalled) == facts(told)
+            listed.recall([(listed.propose(), Observation(-row[0], tuple(row))) for row in each[part].tolist()])
+            assert facts(one) == facts(many) == facts(recalled) == facts(listed)
 
     @pytest.mark.parametrize("name", CLAIMS)
     @given(st.data())

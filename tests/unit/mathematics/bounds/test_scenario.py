@@ -487,13 +487,13 @@ class TestManyAtOnce:
 
     @staticmethod
     def check(make: Any, nodes: Integers, each: Floats, cuts: Iterable[int]) -> None:
-        one, many, told = make(), make(), make()
+        one, many, listed = make(), make(), make()
         for part in blocks(len(nodes), cuts):
             tests = [an_observation(*test) for test in zip(nodes[part].tolist(), each[part].tolist(), strict=True)]
             for test in tests:
                 bound = one.observe(*test)
             found = many.observe_each(nodes[part], -each[part].mean(axis=1), each[part])
-            assert facts(one, bound) == facts(many, found) == facts(told, told.bound_after(tests))
+            assert facts(one, bound) == facts(many, found) == facts(listed, listed.bound_after(tests))
 
     @pytest.mark.parametrize("risk", MADE)
     @given(tests=OF_TWO, cuts=st.lists(st.integers(1, 12), max_size=5))

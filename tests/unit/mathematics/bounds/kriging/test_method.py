@@ -349,7 +349,7 @@ class TestManyAtOnce:
     )
     @pytest.mark.parametrize("seed", [0, 1])
     def test_any_blocks(self, norm: float, mean: float, verdict: str | None, seed: int) -> None:
-        one, many, recalled, told = (a_method(norm, tests=120) for _ in range(4))
+        one, many, recalled, listed = (a_method(norm, tests=120) for _ in range(4))
         rng = np.random.default_rng(seed)
         nodes = np.array([one.design.nodes[point] for point in one.design.order])
         means = mean + 0.15 * np.cos(4 * np.pi * SQUARE.nodes[nodes, 0])
@@ -358,9 +358,9 @@ class TestManyAtOnce:
             given = nodes[part], each[part].mean(axis=1), each[part]
             tests = [an_observation(*test) for test in zip(nodes[part].tolist(), each[part].tolist(), strict=True)]
             bounds = [one.observe(*test) for test in tests]
-            assert many.observe_each(*given) == told.bound_after(tests) == bounds[-1]
+            assert many.observe_each(*given) == listed.bound_after(tests) == bounds[-1]
             recalled.recall_each(*given)
-            assert state_of(one) == state_of(many) == state_of(recalled) == state_of(told)
+            assert state_of(one) == state_of(many) == state_of(recalled) == state_of(listed)
             assert state_of(one.band(bounds[-1])) == state_of(many.band(bounds[-1]))
         assert bounds[-1].verdict == verdict
 
