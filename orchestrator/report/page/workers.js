@@ -108,7 +108,7 @@ function outputSection(report) {
   const finished = report.state === "finished";
   const rows = [
     ["Certificate", finished ? el("a", { href: "certificate.json" }, "certificate.json") : null],
-    ["Trajectories", "trajectories/, one MCAP file per rollout"],
+    ["Trajectories", "trajectories/, one MCAP file per rollout or batch"],
     ["Tests, results and bounds", "campaign.db (SQLite)"],
     ["Verify the certificate against these files", finished ? commandLine(verifyCommand()) : null],
     ["Resume the campaign", report.resume && !finished ? commandLine(report.resume) : null],
