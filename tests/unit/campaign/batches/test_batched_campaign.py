@@ -23,6 +23,7 @@ from perfbound.orchestrator.report.collect.violations import ranked_tests, viola
 from perfbound.orchestrator.store import facts as recorded_facts
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.journal import Journal
+from perfbound.orchestrator.store.progress import read_progress
 from perfbound.orchestrator.store.robustness import read_values, read_violations
 from perfbound.schemas.batch import BatchRequest
 from perfbound.schemas.errors import JournalError
@@ -265,6 +266,13 @@ def test_readers_find_every_rollout_once(tmp_path: Path, failing: Callable[[Batc
     assert sorted((each.test, each.worst, each.violations) for each in starts) == [
         (each.test, values[each], 1) for each in sorted(values) if (values[each] or 0.0) < 0
     ]
+
+
+def test_the_course_of_a_bound_is_the_same_from_the_database(tmp_path: Path) -> None:
+    with played(tmp_path / "run", sampled(5, tests=120)) as play:
+        course = play.ledger.accounts["robustness"].progress.course
+    assert read_progress(tmp_path / "run").problems[0].course == course
+    assert 10 < len(course) < 120 // 5, "a block without a marked test is left out"
 
 
 def test_a_block_ends_at_the_counterexample_that_the_report_shows(tmp_path: Path) -> None:
