@@ -106,7 +106,7 @@ def violated(
             found = _by_rollouts(header, claim, required.bound, required.probability, values)
         return found or _by_partner(header, predicate, required)
     if claim.quantity == "failure_probability" and claim.requirement is None:
-        return _any_violation(values())
+        return _any_violation(violations)
     return None
 
 
@@ -132,9 +132,9 @@ def is_deterministic(header: Header) -> bool:
     return header.claimed_variant not in header.spec.noisy
 
 
-def _any_violation(values: Values) -> VerdictFinding | None:
+def _any_violation(violations: Violations) -> VerdictFinding | None:
     """Return the finding where some rollout violates the specification: who names no acceptable share accepts none."""
-    if not any(value < 0.0 for each in values for value in each.robustness):
+    if not violations.violations:
         return None
     reason = "A rollout violates the specification, and the campaign file names no acceptable probability of that."
     return VerdictFinding("VIOLATED", (reason,), (f"If some are acceptable, {SAY_LIMIT}",), "certain")

@@ -39,7 +39,20 @@ def proposal_fact(row: Any) -> ProposalFact | BlockProposalFact:
 
 
 def rollout_fact(row: Any) -> RolloutFact | BatchFact:
-    """Read a row of `rollouts`."""
+    """Read a row of `rollouts`.
+
+    Raises:
+        ValueError: its counts are not those of its rollouts.
+
+    """
+    fact = _rollout_fact(row)
+    # `status` and the verdict add these up, without what they are about.
+    if (row.rollouts, row.violations, row.robustness) != tuple(_sums(fact).values()):
+        raise ValueError(f"the counts of rollout {fact.rollout} are not those of its values")
+    return fact
+
+
+def _rollout_fact(row: Any) -> RolloutFact | BatchFact:
     rollout = RolloutId(row.problem, row.test, row.variant, row.replicate)
     file = (row.sha256, row.size, row.path)
     if row.seeds is not None:
@@ -104,14 +117,7 @@ def fact_row(fact: StoredFact) -> tuple[str, dict[str, Any]]:
             table = "tests"
         case RolloutFact(rollout):
             row = rollout._asdict() | {name: getattr(fact, name) for name in _OF_ROLLOUT}
-            row |= {
-                "block": rollout.test,
-                "replicates": 1,
-                "places": 1,
-                "rollouts": 1,
-                "violations": int(fact.violates),
-                **dict.fromkeys(_OF_BATCH),
-            }
+            row |= {"block": rollout.test, "replicates": 1, "places": 1, **_sums(fact), **dict.fromkeys(_OF_BATCH)}
             table = "rollouts"
         case BatchFact():
             row, table = _batch_row(fact), "rollouts"
@@ -140,26 +146,31 @@ def fact_row(fact: StoredFact) -> tuple[str, dict[str, Any]]:
 
 
 _CHOSEN = ("mu", "sigma", "beta", "F")
-_OF_ROLLOUT = ("seed", "sha256", "size", "path", "robustness", "by_tolerance", "ended")
+_OF_ROLLOUT = ("seed", "sha256", "size", "path", "by_tolerance", "ended")
 _OF_BATCH = ("seeds", "digests", "robustness_of", "by_tolerance_of", "ended_of", "failures")
 
 
+def _sums(fact: RolloutFact | BatchFact) -> dict[str, Any]:
+    """Return the columns of what the rollouts of a file are together: their number, violations, least robustness."""
+    if isinstance(fact, RolloutFact):
+        return {"rollouts": 1, "violations": int(fact.violates), "robustness": fact.robustness}
+    kept, values = fact.succeeded, None if fact.robustness is None else fact.robustness[fact.succeeded]
+    violations, least = (0, None) if values is None else (int((values < 0).sum()), float(values.min()))
+    return {"rollouts": int(kept.sum()), "violations": violations, "robustness": least}
+
+
 def _batch_row(fact: BatchFact) -> dict[str, Any]:
-    robustness, kept = fact.robustness, fact.succeeded
-    values = None if robustness is None else robustness[kept]
     return fact.rollout._asdict() | {
         "seed": int(fact.seeds[0]),
         "sha256": fact.sha256,
         "size": fact.size,
         "path": fact.path,
-        "robustness": None if values is None else float(values.min()),
         "by_tolerance": int(fact.by_tolerance.any()),
         "ended": None,
         "block": fact.block,
         "replicates": fact.replicates,
         "places": len(fact),
-        "rollouts": int(kept.sum()),
-        "violations": 0 if values is None else int((values < 0).sum()),
+        **_sums(fact),
         "seeds": fact.seed_column,
         "digests": fact.digest_column,
         "robustness_of": fact.robustness_column or None,

@@ -20,12 +20,23 @@ from .readonly import snapshot
 _SERIES = "SELECT DISTINCT problem FROM tests"
 # A test without an observation is under way, and which of its rollouts came first may depend on their outcome. A
 # rollout that failed in its batch comes after it.
-_BATCHES = """
-    SELECT r.problem, r.block, t.tests, t.x, t.starts, r.test, r.replicate, r.replicates, r.robustness, r.robustness_of
+_OBSERVED = """
     FROM rollouts r JOIN tests t ON t.problem = r.problem AND t.test = r.block
     JOIN observations o ON o.problem = r.problem AND o.test = r.block
-    WHERE r.problem = ? AND r.variant = ? AND r.robustness IS NOT NULL ORDER BY r.block, r.places DESC, r.test
+    WHERE r.problem = ?1 AND r.variant = ?2 AND r.robustness IS NOT NULL
 """
+_ROWS = f"""
+    SELECT r.problem, r.block, t.tests, t.x, t.starts, r.test, r.replicate, r.replicates, r.robustness, r.robustness_of
+    {_OBSERVED}
+"""
+_IN_ORDER = "ORDER BY r.block, r.places DESC, r.test"
+_BATCHES = f"{_ROWS} {_IN_ORDER}"
+_WORST = f"{_ROWS} AND r.block = (SELECT min(r.block) {_OBSERVED} AND r.robustness = ?3) {_IN_ORDER}"
+_HAS_VIOLATIONS = "AND r.block IN (SELECT block FROM rollouts WHERE problem = ?1 AND violations > 0)"
+_VIOLATING = f"{_ROWS} {_HAS_VIOLATIONS} {_IN_ORDER}"
+_SUMS = f"SELECT total(r.rollouts), total(r.violations), min(r.robustness) {_OBSERVED}"
+_SINGLE_STARTS = f"SELECT DISTINCT t.x {_OBSERVED} AND t.starts IS NULL"
+_BLOCKS = f"SELECT DISTINCT t.test, t.tests {_OBSERVED} AND t.starts IS NOT NULL"
 _RECORDED = "SELECT total(rollouts) FROM rollouts"
 
 # A recheck observes 1 where both trajectories agree; their files differ, because each names its rollout.
@@ -80,29 +91,36 @@ def read_violations(directory: Path, variant: str) -> Violations:
         OSError: the disk is full or fails.
 
     """
-    rollouts = violations = 0
-    starts, violating = set[bytes](), set[bytes]()
-    least = math.inf
-    worst: RolloutId | None = None
+    rollouts = violations = starts = 0
+    single, violating = set[str](), set[bytes]()
+    worst: list[tuple[float, str]] = []
     with snapshot(directory) as connection:
-        for found in _values(connection, variant, _new_series(connection)):
-            starts.update(map(found.start, range(found.tests)))
-            values = [value for value in found.robustness if value == value]  # noqa: PLR0124  (NaN: there is none)
-            rollouts, here = rollouts + len(values), min(values, default=math.inf)
-            if here < 0.0:
-                violations += sum(value < 0.0 for value in values)
+        for name in _new_series(connection):
+            # Sums of rows, and only blocks with a violation one by one: a campaign may have a million rollouts.
+            of_series = [name, variant]
+            here, below, least = connection.execute(_SUMS, of_series).fetchone()
+            rollouts, violations = rollouts + int(here), violations + int(below)
+            starts += sum(tests for _, tests in connection.execute(_BLOCKS, of_series))
+            single.update(x for (x,) in connection.execute(_SINGLE_STARTS, of_series))
+            if least is not None:
+                worst.append((float(least), name))
+            for found in _of_series(connection, _VIOLATING, of_series) if below else ():
                 violating.update(start for _, start, each in found.each() if min(each) < 0.0)
-            if here <= least and values:
-                first = found.rollout(variant, found.robustness.index(here))
-                least, worst = min((least, worst or first), (here, first))
+        rollout = _worst_rollout(connection, variant, *min(worst)) if worst else None
     return Violations(
         rollouts=rollouts,
         violations=violations,
-        starts=len(starts),
+        starts=starts + len(single),
         violating_starts=len(violating),
-        least=None if worst is None else least,
-        rollout=worst and str(worst),
+        least=min(worst)[0] if worst else None,
+        rollout=rollout,
     )
+
+
+def _worst_rollout(connection: sqlite3.Connection, variant: str, least: float, name: str) -> str:
+    """Return the first rollout of a series with this robustness."""
+    (found,) = _of_series(connection, _WORST, [name, variant, least])
+    return str(found.rollout(variant, found.robustness.index(least)))
 
 
 def read_number_of_rollouts(directory: Path) -> int:
@@ -127,15 +145,16 @@ def read_values(directory: Path, variant: str, problems: Sequence[str]) -> Itera
     """
     with snapshot(directory) as connection:
         series = sorted(_new_series(connection), key=lambda name: series_order(problems, name))
-        yield from _values(connection, variant, series)
+        for name in series:
+            yield from _of_series(connection, _BATCHES, [name, variant])
 
 
-def _values(connection: sqlite3.Connection, variant: str, series: Sequence[str]) -> Iterator[ObservedValues]:
-    for name in series:
-        rows = connection.execute(_BATCHES, [name, variant])
-        for (block, tests, x, starts), batches in itertools.groupby(rows, key=lambda row: row[1:5]):
-            packed = array("d", json.loads(x)).tobytes() if starts is None else starts
-            yield ObservedValues(name, block, packed, *_joined(block, tests, [row[5:] for row in batches]))
+def _of_series(connection: sqlite3.Connection, query: str, keys: Sequence[Any]) -> Iterator[ObservedValues]:
+    """Yield the tests in the rows of a query, whose first key is the series."""
+    rows = connection.execute(query, keys)
+    for (block, tests, x, starts), batches in itertools.groupby(rows, key=lambda row: row[1:5]):
+        packed = array("d", json.loads(x)).tobytes() if starts is None else starts
+        yield ObservedValues(keys[0], block, packed, *_joined(block, tests, [row[5:] for row in batches]))
 
 
 def _joined(block: int, tests: int, batches: Sequence[Any]) -> "tuple[int, array[float]]":

@@ -17,7 +17,7 @@ class Violations(Model):
 
     rollouts: int = Field(ge=0)
     violations: int = Field(ge=0)
-    starts: int = Field(ge=0, description="at which there are rollouts")
+    starts: int = Field(ge=0, description="at which there are rollouts; each test of a block counts as one")
     violating_starts: int = Field(ge=0)
     least: float | None = Field(description="robustness of the worst rollout, clipped; null without any")
     rollout: str | None = Field(description="the worst one")

@@ -328,6 +328,24 @@ def test_an_edited_column_is_found(name: str, tmp_path: Path) -> None:
             Play.restart(_reopened(tmp_path / "run", play))
 
 
+@pytest.mark.parametrize("change", ["violations = 0", "rollouts = 15", "robustness = 0.5"])
+def test_a_count_that_is_not_that_of_its_rollouts_is_found(change: str, tmp_path: Path) -> None:
+    with played(tmp_path / "run", sampled(16)) as play:
+        play.certify()
+    with editing(tmp_path / "run") as database:
+        database.execute(f"UPDATE rollouts SET {change} WHERE violations > 0")
+    with pytest.raises(JournalError, match="are not those of its values"):
+        Play.restart(_reopened(tmp_path / "run", play))
+
+
+def test_of_equal_violations_the_first_one_is_the_worst(tmp_path: Path) -> None:
+    with played(tmp_path / "run", sampled(16, clip=[-0.01, 1.0]), failing=some):
+        values = {fact.rollout: fact.robustness for fact in recorded_facts.observed_rollouts(tmp_path / "run")}
+    least = [each for each in sorted(values) if values[each] == -0.01]
+    assert len(least) > 1
+    assert read_violations(tmp_path / "run", "true").rollout == str(least[0])
+
+
 def _reopened(directory: Path, play: Play) -> Play:
     play.directory, play.journal = directory, Journal.open(directory)
     return play
