@@ -8,7 +8,9 @@
 | x      |          | F^-1(F(a) + u (F(b) - F(a))), clipped to [a, b] | (n,)  | parameter |
 """
 
+import math
 from collections.abc import Callable, Mapping
+from functools import cache
 from typing import Any, assert_never
 
 import numpy as np
@@ -62,13 +64,29 @@ def to_digits(values: Floats, low: float, high: float, digits: int) -> list[floa
     [1000.123]
 
     """
-    return [min(max(_digits_of(value, min(abs(value), high - low), digits), low), high) for value in values.tolist()]
+    sizes = np.minimum(np.abs(values), high - low)
+    exponents = np.searchsorted(_powers_of_ten(), sizes, side="right") - 1 + _LEAST_EXPONENT
+    # By Python, whose `round` is that of the decimal text; that of numpy multiplies by a power of ten.
+    rounded = np.array(list(map(round, values.tolist(), (digits - 1 - exponents).tolist())), dtype=float)
+    rounded[rounded < low] = low
+    rounded[rounded > high] = high
+    return rounded.tolist()
 
 
-def _digits_of(value: float, size: float, digits: int) -> float:
+_LEAST_EXPONENT = -324
+
+
+@cache
+def _powers_of_ten() -> Floats:
+    """Return the least number whose text with 17 digits has each exponent, from 0 and 1e-323 on, shape (633,)."""
     # By text: a logarithm would differ in its last bit between machines, and so at a power of ten the exponent.
-    exponent = int(f"{size:.16e}".partition("e")[2])
-    return round(value, digits - 1 - exponent) if size else value
+    return np.array([0.0, *map(_power_of_ten, range(_LEAST_EXPONENT + 1, 309))])
+
+
+def _power_of_ten(exponent: int) -> float:
+    power = float(f"1e{exponent}")
+    below = f"{power:.16e}".partition("e")[2] != f"{exponent:+03d}"
+    return math.nextafter(power, math.inf) if below else power
 
 
 def _before(name: DistributionName, keys: Mapping[str, float], low: float, high: float) -> Any | None:
