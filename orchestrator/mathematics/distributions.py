@@ -70,7 +70,8 @@ def to_digits(values: Floats, low: float, high: float, digits: int) -> list[floa
     rounded = np.array(list(map(round, values.tolist(), (digits - 1 - exponents).tolist())), dtype=float)
     rounded[rounded < low] = low
     rounded[rounded > high] = high
-    return rounded.tolist()
+    found: list[float] = rounded.tolist()
+    return found
 
 
 _LEAST_EXPONENT = -324
