@@ -47,7 +47,7 @@ def rollout_fact(row: Any) -> RolloutFact | BatchFact:
     """
     fact = _rollout_fact(row)
     # `status` and the verdict add these up, without what they are about.
-    if (row.rollouts, row.violations, row.robustness) != tuple(_sums(fact).values()):
+    if any(getattr(row, name) != value for name, value in _sums(fact).items()):
         raise ValueError(f"the counts of rollout {fact.rollout} are not those of its values")
     return fact
 
@@ -154,9 +154,11 @@ def _sums(fact: RolloutFact | BatchFact) -> dict[str, Any]:
     """Return the columns of what the rollouts of a file are together: their number, violations, least robustness."""
     if isinstance(fact, RolloutFact):
         return {"rollouts": 1, "violations": int(fact.violates), "robustness": fact.robustness}
-    kept, values = fact.succeeded, None if fact.robustness is None else fact.robustness[fact.succeeded]
-    violations, least = (0, None) if values is None else (int((values < 0).sum()), float(values.min()))
-    return {"rollouts": int(kept.sum()), "violations": violations, "robustness": least}
+    rollouts = len(fact) - len(fact.failures)
+    if fact.robustness is None:
+        return {"rollouts": rollouts, "violations": 0, "robustness": None}
+    values = fact.robustness[fact.succeeded]
+    return {"rollouts": rollouts, "violations": int((values < 0).sum()), "robustness": float(values.min())}
 
 
 def _batch_row(fact: BatchFact) -> dict[str, Any]:

@@ -106,13 +106,14 @@ def read_violations(directory: Path, variant: str) -> Violations:
                 worst.append((float(least), name))
             for found in _of_series(connection, _VIOLATING, of_series) if below else ():
                 violating.update(start for _, start, each in found.each() if min(each) < 0.0)
-        rollout = _worst_rollout(connection, variant, *min(worst)) if worst else None
+        least, name = min(worst, default=(None, ""))
+        rollout = None if least is None else _worst_rollout(connection, variant, least, name)
     return Violations(
         rollouts=rollouts,
         violations=violations,
         starts=starts + len(single),
         violating_starts=len(violating),
-        least=min(worst)[0] if worst else None,
+        least=least,
         rollout=rollout,
     )
 

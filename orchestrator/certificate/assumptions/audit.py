@@ -300,12 +300,11 @@ def _sample(account: Account, problem: SampleProblem) -> Iterator[Assumption]:
     """Yield what claims about drawn starts rest on: the distribution, and that nothing chose a start by its outcome."""
     yield assumption(f"declared_distribution/{problem.name}", "assumed")
     form = "drawn_at_every_moment" if account.plan.until_counterexample else "drawn_fixed"
-    drawn = account.each.firsts(0)
+    drawn, values = account.each.firsts(0), dict[str, int | float | str]()
     if account.plan.falsify is not None:
+        form, values = "drawn_beside_a_search", {"random_every": account.plan.falsify.random_every}
         drawn = drawn[list(map(account.plan.is_drawn, range(len(drawn))))]
-    values = {"samples": len(drawn), "at_zero": int((drawn == 0.0).sum())}
-    if account.plan.falsify is not None:
-        form, values = "drawn_beside_a_search", values | {"random_every": account.plan.falsify.random_every}
+    values |= {"samples": len(drawn), "at_zero": int((drawn == 0.0).sum())}
     yield assumption(f"drawn_starts/{problem.name}", "derived", values, form=form)
 
 

@@ -1,10 +1,11 @@
 """Truncated distributions: in the range, of the declared law, exact in the tails; rounding to digits."""
 
+import math
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -96,6 +97,26 @@ def test_rounding_stays_inside_and_near(low: float, width: float, share: float, 
     assert low <= found <= high
     assert abs(found - value) <= 10.0 ** (1 - digits) * min(abs(value), width) + 1e-15 * abs(value)
     assert to_digits(np.array([found]), low, high, digits) == [pytest.approx(found, rel=1e-15)]
+
+
+@given(
+    power=st.integers(-300, 300),
+    times=st.integers(-3, 3),
+    shares=st.lists(st.floats(0, 1), min_size=1),
+    digits=st.integers(1, 12),
+)
+@example(power=-6, times=1, shares=[0.123456789], digits=4)  # the float 1e-6 is below 1e-6
+def test_the_digits_are_those_of_the_decimal_text(power: int, times: int, shares: list[float], digits: int) -> None:
+    ten = float(f"1e{power}")
+    low, high = times * ten, times * ten + ten
+    near = [low, high, math.nextafter(low, high), math.nextafter(high, low)]
+    values = [min(max(each, low), high) for each in (*near, *(low + share * ten for share in shares))]
+
+    def rounded(value: float) -> float:
+        exponent = int(f"{min(abs(value), high - low):.16e}".partition("e")[2])
+        return min(max(round(value, digits - 1 - exponent), low), high) if value else value
+
+    assert to_digits(np.array(values), low, high, digits) == list(map(rounded, values))
 
 
 @given(value=st.floats(0.01, 100), steps=st.integers(-4, 4))

@@ -334,6 +334,7 @@ def test_a_count_that_is_not_that_of_its_rollouts_is_found(change: str, tmp_path
         play.certify()
     with editing(tmp_path / "run") as database:
         database.execute(f"UPDATE rollouts SET {change} WHERE violations > 0")
+    assert "database" in {line.name for line in checked(tmp_path / "run").lines() if line.status == "failed"}
     with pytest.raises(JournalError, match="are not those of its values"):
         Play.restart(_reopened(tmp_path / "run", play))
 
