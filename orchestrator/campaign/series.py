@@ -85,6 +85,12 @@ class Rows(Sequence[tuple[float, ...]]):
     def __len__(self) -> int:
         return len(self._ends) - 1
 
+    def __eq__(self, other: object) -> bool:
+        """Whether both have the same rows: a replay is compared with the campaign that it repeats."""
+        return isinstance(other, Rows) and (self._ends, self._values) == (other._ends, other._values)
+
+    __hash__ = None  # type: ignore[assignment]  # rows are added
+
     @overload
     def __getitem__(self, place: int) -> tuple[float, ...]: ...
 
