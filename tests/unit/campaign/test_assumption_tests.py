@@ -150,6 +150,13 @@ def test_it_is_refused_where_the_number_of_tests_is_fixed(name: str) -> None:
         robustness(sampled, clip=[-1, 1], **STOP)
 
 
+def test_rows_are_equal_where_their_numbers_and_lengths_are() -> None:
+    rows = Rows([(1.0, 2.0), (), (3.0,)])
+    assert rows == Rows(list(rows))
+    assert rows != Rows([(1.0,), (2.0,), (3.0,)]), "other lengths"
+    assert rows != Rows([(1.0, 2.0), (), (4.0,)])
+
+
 def test_the_first_numbers_of_rows_of_any_width() -> None:
     rows = Rows([(1.0, 2.0), (), (3.0,)])
     rows.extend(np.array([[4.0, 5.0, 6.0], [7.0, 8.0, 9.0]]))
