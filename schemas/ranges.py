@@ -18,6 +18,8 @@ MOST_SECONDS = 1e9
 LARGEST_NUMBER = 1e100
 LARGEST_BATCH = 1024
 """Rollouts of a batch: beyond it the cost of a rollout does not fall any more."""
+DIGEST = 32
+"""Bytes of a sha256."""
 
 ProtocolNumber = Annotated[int, Field(ge=0, le=10**6)]
 ProcessId = Annotated[int, Field(ge=1, lt=2**31, description="as the kernel counts them: pid_t has 32 bits")]

@@ -5,18 +5,23 @@ from collections.abc import Callable
 from functools import partial
 from typing import Literal, TypeVar
 
+import numpy as np
+
 from ...schemas.base import canonical_json
 from ...schemas.batch import BatchRequest
 from ...schemas.errors import EvidenceError, PerfboundError, RequestError, TrajectoryError, UnusableTrajectoryError
 from ...schemas.ids import RolloutId
 from ...schemas.instants import uncovered
 from ...schemas.rollout import RolloutRequest
-from ...schemas.trajectory.batch import Batch, read_batch
+from ...schemas.trajectory.batch import Batch, BatchFile, read_batch
+from ...schemas.trajectory.reduced import Reduced, read_stored
 from ...schemas.trajectory.trajectory import Trajectory, read_canonical
 from .decisions import scores_of_batch
 from .ledger import Ledger, Scored
 from .objectives import measured
-from .observation import Others
+from .observation import BatchScores, Others
+from .plan import UNBOUNDED
+from .series import ROUND_OFF
 
 T = TypeVar("T")
 
@@ -56,6 +61,18 @@ def admit_either(
 def admit_batch(request: BatchRequest, columns: tuple[str, ...], payload: bytes, sha256: str) -> Batch:
     """Return the trajectories of the batch that `request` describes, from the bytes of its file; raises as `admit`."""
     file = _read(read_batch, payload, sha256, "a batch of trajectories")
+    _check_batch(request, columns, file)
+    return file.batch
+
+
+def admit_stored(request: BatchRequest, columns: tuple[str, ...], payload: bytes, sha256: str) -> Batch | Reduced:
+    """Return a batch as a run directory has it, reduced where the campaign keeps not all samples; raises as `admit`."""
+    file = _read(read_stored, payload, sha256, "a batch of trajectories")
+    _check_batch(request, columns, file)
+    return file.batch
+
+
+def _check_batch(request: BatchRequest, columns: tuple[str, ...], file: BatchFile[Batch] | BatchFile[Reduced]) -> None:
     if file.request != canonical_json(request.model_dump(mode="json")).encode():
         raise RequestError("the batch was simulated for another request")
     batch = file.batch
@@ -67,7 +84,6 @@ def admit_batch(request: BatchRequest, columns: tuple[str, ...], payload: bytes,
         raise UnusableTrajectoryError(uncovering)
     if {**file.metadata, "columns": ""} != {**request.metadata, "columns": ""}:
         raise RequestError("the metadata of the batch are those of another one")
-    return batch
 
 
 def _read(reader: Callable[[bytes], T], payload: bytes, sha256: str, wanted: str) -> T:
@@ -157,17 +173,44 @@ class Admission:
             raise PerfboundError(str(fault)) from None
 
 
-def scored(ledger: Ledger, request: BatchRequest, batch: Batch) -> Scored:
+def scored(ledger: Ledger, request: BatchRequest, batch: Batch | Reduced) -> Scored:
     """Return a batch with its scores; a rollout from which the objective cannot be computed has failed.
 
     Raises:
-        UnusableTrajectoryError: the objective can be computed from none.
+        UnusableTrajectoryError: the objective can be computed from none, or a reduced batch has other scores.
 
     """
+    if isinstance(batch, Reduced):
+        _check_scores(ledger, request, batch)
+        return Scored(batch, BatchScores(*batch.scores, dict(batch.failures)))
     found = scores_of_batch(ledger.observer, request, batch)
     if len(found.failures) == len(batch):
         raise UnusableTrajectoryError(next(iter(found.failures.values())))
     return Scored(batch, found)
+
+
+def _check_scores(ledger: Ledger, request: BatchRequest, batch: Reduced) -> None:
+    """Refuse scores that no rollout has, or that are not those of the samples that were kept."""
+    low, high = ledger.config.clip or UNBOUNDED
+    robustness = batch.scores.robustness[batch.succeeded]
+    if ((robustness < low) | (robustness > high)).any():
+        raise UnusableTrajectoryError(f"a robustness is not in the clip [{low:g}, {high:g}]")
+    if (samples := batch.samples) is None:
+        return
+    places = list(batch.kept)
+    found = scores_of_batch(ledger.observer, request, samples)
+    scores = batch.scores
+    recorded = BatchScores(scores.robustness[places], scores.by_tolerance[places], scores.ended[places], {})
+    if (place := differing(found, recorded)) is not None:
+        raise UnusableTrajectoryError(f"rollout {places[place]} has other scores than its samples give")
+
+
+def differing(one: BatchScores, other: BatchScores) -> int | None:
+    """Return the first rollout whose scores differ in two batches; None where they agree up to round-off."""
+    same = (one.by_tolerance == other.by_tolerance) & np.isclose(one.ended, other.ended, equal_nan=True)
+    if one.robustness is not None and other.robustness is not None:
+        same &= np.isclose(one.robustness, other.robustness, rtol=ROUND_OFF, atol=ROUND_OFF, equal_nan=True)
+    return None if same.all() else int(np.flatnonzero(~same)[0])
 
 
 def objective_fault(ledger: Ledger, rollout: RolloutId, trajectory: Trajectory, others: Others) -> str | None:

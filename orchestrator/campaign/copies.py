@@ -4,13 +4,11 @@ Equal trajectories alone are no fault: a margin that saturates, a rare failure o
 well, of independent rollouts. These repeat between the tests of a start as often as within them; copies repeat within.
 """
 
-import hashlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Set
 from dataclasses import dataclass
 
 from ...schemas.ids import RolloutId
-from ...schemas.trajectory.trajectory import Trajectory
 from ..mathematics.bounds.checks.copied_blocks import CopiedBlocks
 from .series import Account
 
@@ -19,8 +17,8 @@ MOST = 200
 MOST_FILES = 2000
 """Trajectories that `tested_copies` reads; those of a margin with two values are all alike."""
 
-Load = Callable[[RolloutId], Trajectory]
-"""Reads the trajectory of an observed rollout."""
+Digest = Callable[[RolloutId], bytes]
+"""Returns the digest of the samples of an observed rollout, which two share if they agree in every bit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,15 +31,7 @@ class TestedCopies:
     """None where every test has one rollout, so that nothing was tested."""
 
 
-def same_trajectory(a: Trajectory, b: Trajectory) -> bool:
-    """Return whether two trajectories agree in every bit of their columns.
-
-    As bytes: -0.0 and 0.0 are equal numbers, and not the same result.
-    """
-    return a.columns == b.columns and a.samples.shape == b.samples.shape and a.samples.tobytes() == b.samples.tobytes()
-
-
-def copies(account: Account, noisy: Set[str], load: Load) -> tuple[int, int]:
+def copies(account: Account, noisy: Set[str], digest: Digest) -> tuple[int, int]:
     """Return how many pairs of rollouts at one start were compared, and how many of them agree bit by bit.
 
     `noisy` are the variants of the problem that depend on the seed. Copies have equal values, so the files of all other
@@ -57,7 +47,7 @@ def copies(account: Account, noisy: Set[str], load: Load) -> tuple[int, int]:
             earlier = seen.setdefault((node, value), rollout)
             if earlier != rollout:
                 compared += 1
-                found += same_trajectory(load(earlier), load(rollout))
+                found += digest(earlier) == digest(rollout)
             if compared == MOST:
                 return compared, found
         if is_drawn:
@@ -65,7 +55,7 @@ def copies(account: Account, noisy: Set[str], load: Load) -> tuple[int, int]:
     return compared, found
 
 
-def tested_copies(account: Account, noisy: Set[str], load: Load) -> TestedCopies:
+def tested_copies(account: Account, noisy: Set[str], digest: Digest) -> TestedCopies:
     """Test that rollouts differ as much within tests as between those of one start, in the order of the tests."""
     test, read, alike = CopiedBlocks(), 0, list[bool]()
     often = Counter((node, value) for node, values, _ in _closed_tests(account, noisy) for value in values)
@@ -76,7 +66,7 @@ def tested_copies(account: Account, noisy: Set[str], load: Load) -> TestedCopies
         for value, rollout in zip(values, rollouts, strict=True):
             repeated = often[node, value] > 1
             read += repeated
-            block.append((value, _digest_of(load(rollout)) if repeated else ""))
+            block.append((value, digest(rollout).hex() if repeated else ""))
         if len(block) > 1:
             alike.append(len(set(block)) == 1)
         test.observe(node, block)
@@ -90,9 +80,3 @@ def _closed_tests(account: Account, noisy: Set[str]) -> Iterator[tuple[int, tupl
         values = each[: plan.replicates]
         numbers = range(len(values))
         yield node, values, [RolloutId(plan.name, test, *plan.replicate(variant, number)) for number in numbers]
-
-
-def _digest_of(trajectory: Trajectory) -> str:
-    """Return a digest that two trajectories share if they are the same, see `same_trajectory`."""
-    head = repr((trajectory.columns, trajectory.samples.shape))
-    return hashlib.sha256(head.encode() + trajectory.samples.tobytes()).hexdigest()

@@ -10,14 +10,23 @@ from ...schemas.batch import BatchRequest
 from ...schemas.errors import PerfboundError
 from ...schemas.ids import RolloutId
 from ...schemas.result.block_facts import BlockObservationFact, BlockProposalFact
-from ...schemas.result.facts import BoundFact, Header, ObservationFact, ProposalFact
+from ...schemas.result.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
 from ...schemas.trajectory.batch import Batch
 from ...schemas.trajectory.trajectory import Trajectory
 from ...schemas.values import Proposal
 from . import counterexample
 from .assumption_tests import Refutation
 from .methods import Methods
-from .observation import BatchScores, Load, Observer, Others, Trajectories, is_robustness, observed_block
+from .observation import (
+    BatchScores,
+    Load,
+    Observer,
+    Others,
+    Trajectories,
+    is_robustness,
+    observed_block,
+    observed_scores,
+)
 from .proposals import proposal_source
 from .seeds import rollout_seed, rollout_seeds
 from .series import Account, Series
@@ -101,8 +110,14 @@ class ProblemDecisions:
 
     @property
     def needs_scores_alone(self) -> bool:
-        """Whether the observation of a block follows from the recorded scores of its rollouts."""
+        """Whether an observation follows from the recorded scores of its rollouts."""
         return is_robustness(self._plan)
+
+    def observed_scores(self, series: Series, test: int, rollouts: Sequence[RolloutFact]) -> ObservationFact:
+        """Turn the recorded scores of a test into the value of the objective, as `observation` its trajectories."""
+        with naming(f"problem {self._plan.name}, test {test}", UNOBSERVABLE):
+            found = observed_scores(self._plan, rollouts)
+        return ObservationFact(self._plan.name, test, found, series.next_link(test, found))
 
     def block(self, series: Series, tests: range) -> BlockProposalFact:
         """Choose the next tests of the problem, whose starts no rollout decides."""

@@ -3,20 +3,21 @@
 Every fact takes one way, live, in a replay and in `verify`: `_apply`. Live, it is written to the store first.
 """
 
+import hashlib
 from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from ...schemas.batch import BatchRequest, batch_request, file_of
-from ...schemas.errors import IllegalEvent, JournalError, one_line, shortened
+from ...schemas.errors import EvidenceError, IllegalEvent, JournalError, one_line, shortened
 from ...schemas.file.config import CampaignConfig
 from ...schemas.ids import RolloutId
+from ...schemas.ranges import DIGEST
 from ...schemas.result.block_facts import (
-    DIGEST,
     BatchFact,
     BlockObservationFact,
     BlockProposalFact,
@@ -34,6 +35,7 @@ from ...schemas.result.facts import (
 )
 from ...schemas.rollout import RolloutRequest
 from ...schemas.trajectory.batch import Batch
+from ...schemas.trajectory.reduced import Reduced, Scores, encode_reduced, reduced
 from ...schemas.trajectory.trajectory import Trajectory
 from ..store import files as evidence
 from . import state
@@ -45,7 +47,7 @@ from .observation import BatchScores, Observer
 from .plan import plans
 from .ports import FactStore, FileStore, Recorded, RecordedRollouts
 from .restoration import Restoration
-from .series import Account, Series
+from .series import Account, Kept, Series
 
 
 @dataclass(slots=True)
@@ -60,7 +62,7 @@ class Work:
 class Scored:
     """An admitted batch, with its scores."""
 
-    batch: Batch
+    batch: Batch | Reduced
     scores: BatchScores
 
     @property
@@ -86,7 +88,10 @@ class Ledger:
         self.plans = plans(header.config, header.spec)
         self.methods = methods(self.plans, header)
         # A hash chain for each problem, over its observations: one in the order of arrival would depend on the workers.
-        self.accounts = {name: Account(first_link(header, name), plan=plan) for name, plan in self.plans.items()}
+        self.accounts = {
+            name: Account(first_link(header, name), plan=plan, kept=Kept(header.config.keep))
+            for name, plan in self.plans.items()
+        }
         self.extensions: list[ExtensionFact] = []
         self.series: dict[str, Series] = dict(self.accounts)
         """The accounts of the problems, then the closing checks that have begun."""
@@ -212,22 +217,44 @@ class Ledger:
             return Work() if self._restoration else self.outstanding()
         # Before the file: what cannot be scored leaves nothing behind.
         path = evidence.relative_path(file_of(request))
-        file = (sha256, len(payload), path)
         if isinstance(found, Scored):
             assert isinstance(request, BatchRequest)
             block = state.plan_of(self.state, rollout.problem).batch_of(rollout)[0].test
-            fact: RolloutFact | BatchFact = _batch_fact(rollout, block, request, found, file)
+            if (reduced := self._reduced(rollout, block, found)) is not None:
+                payload = encode_reduced(reduced, request=request.model_dump(mode="json"), metadata=request.metadata)
+                sha256, found = hashlib.sha256(payload).hexdigest(), replace(found, batch=reduced)
+            fact: RolloutFact | BatchFact = _batch_fact(rollout, block, request, found, (sha256, len(payload), path))
         else:
             assert isinstance(request, RolloutRequest)
+            file = (sha256, len(payload), path)
             fact = RolloutFact(rollout, request.seed, *file, *scores(self.observer, rollout, found))
         self._files.write(evidence.inside(self._directory, path), payload)
         # Its test is observed as soon as the other rollouts of it are there: it is not read back from the disk.
         if not isinstance(found, Scored):
             self.recorded.keep(rollout, found)
-        elif state.plan_of(self.state, rollout.problem).block == 1 or not self._of(rollout).needs_scores_alone:
+        elif isinstance(found.batch, Batch) and not self._of(rollout).needs_scores_alone:
             assert isinstance(fact, BatchFact)
             self.recorded.keep_batch(fact, found.batch)
         return self._advance(self._write(fact))
+
+    def _reduced(self, rollout: RolloutId, block: int, found: Scored) -> Reduced | None:
+        """Return a batch as the key `keep` leaves it; None for one that stays whole.
+
+        Raises:
+            EvidenceError: it comes reduced, and otherwise.
+
+        """
+        margins = found.scores.robustness
+        kept = None if margins is None else self.accounts[rollout.problem].kept.places(block, margins)
+        if isinstance(found.batch, Reduced):
+            if kept is None or found.batch.kept != tuple(kept):
+                raise EvidenceError(f"the batch of {rollout} has the samples of other rollouts than `keep` leaves")
+            return found.batch
+        if kept is None:
+            return None
+        assert margins is not None
+        leaves = Scores(margins, found.scores.by_tolerance, found.scores.ended)
+        return reduced(found.batch, kept, leaves, found.scores.failures)
 
     def _of(self, rollout: RolloutId) -> ProblemDecisions:
         return self._problems[rollout.problem]
@@ -258,7 +285,7 @@ class Ledger:
         return self._problems[name].block(series, plan.tests_of(test))
 
     def _observe(self, name: str, test: int) -> tuple[state.Action, ...]:
-        series = self.series[name]
+        series, plan = self.series[name], state.plan_of(self.state, name)
         if test in series.blocks:
             batches = series.batches[test]
             self._write(self._problems[name].observed_block(series, test, self.recorded.batch))
@@ -267,9 +294,12 @@ class Ledger:
             return self._write(series.due)
         # By id: the order of arrival depends on the workers, and an observation must not.
         facts = sorted(series.rollouts[test], key=lambda fact: fact.rollout)
-        trajectories = {fact.rollout[2:]: self.recorded.take(fact) for fact in facts}
-        self.recorded.drop({fact.batch for fact in facts})
-        self._write(self.deciders[name].observation(series, test, trajectories))
+        if plan.batch > 1 and self._problems[name].needs_scores_alone:
+            self._write(self._problems[name].observed_scores(series, test, facts))
+        else:
+            trajectories = {fact.rollout[2:]: self.recorded.take(fact) for fact in facts}
+            self.recorded.drop({fact.batch for fact in facts})
+            self._write(self.deciders[name].observation(series, test, trajectories))
         assert series.due is not None
         return self._write(series.due)
 
@@ -281,9 +311,6 @@ class Ledger:
     def _apply(self, fact: StoredFact) -> tuple[state.Action, ...]:
         event: state.Event
         match fact:
-            case BlockProposalFact(problem, test):
-                self.series[problem].blocks[test] = fact
-                event = state.Proposed(problem, test)
             case BatchFact(rollout):
                 series = self.series[rollout.problem]
                 series.record(fact)
@@ -293,8 +320,8 @@ class Ledger:
                 series.observe_block(fact)
                 series.due = self._problems[problem].bound(series, fact)
                 return ()
-            case ProposalFact(problem, test):
-                self.series[problem].proposals[test] = fact
+            case ProposalFact(problem, test) | BlockProposalFact(problem, test):
+                self.series[problem].propose(fact)
                 event = state.Proposed(problem, test)
             case RolloutFact(rollout):
                 self.series[rollout.problem].rollouts.setdefault(rollout.test, []).append(fact)
@@ -349,8 +376,15 @@ def _batch_fact(
         robustness_column=b"" if scores.robustness is None else column(scores.robustness),
         tolerance_column=column(scores.by_tolerance, "?") if scores.by_tolerance.any() else b"",
         ended_column=column(scores.ended) if not np.isnan(scores.ended).all() else b"",
+        kept_column=_marks(found.batch) if isinstance(found.batch, Reduced) else b"",
         failures=tuple((place, shortened(reason)) for place, reason in failures),
     )
+
+
+def _marks(batch: Reduced) -> bytes:
+    marks = np.zeros(len(batch), dtype=np.bool_)
+    marks[list(batch.kept)] = True
+    return column(marks, "?")
 
 
 def observed_discards(ledger: Ledger) -> list[DiscardFact]:

@@ -14,6 +14,7 @@ from ...schemas.file.objectives import OBJECTIVES, replicates_are_robustness
 from ...schemas.file.parts import parts_of
 from ...schemas.ids import RolloutId
 from ...schemas.result.block_facts import BatchFact
+from ...schemas.result.facts import RolloutFact
 from ...schemas.system import SystemSpec
 from ...schemas.trajectory.batch import Batch
 from ...schemas.trajectory.early_end import end_of
@@ -284,6 +285,12 @@ def observed_block(
         return _of_robustness(plan, _by_test(tests, batches))
     rows = [observer.observe(plan, each) for each in _trajectories(tests, batches, load)]
     return np.array([row.y for row in rows]), np.array([row.each for row in rows])
+
+
+def observed_scores(plan: ProblemPlan, rollouts: Sequence[RolloutFact]) -> Observation:
+    """Return what `observe` gives for a test with these rollouts, in their order, where `is_robustness`."""
+    y, each = _of_robustness(plan, np.array([[fact.robustness for fact in rollouts]], dtype=np.float64))
+    return Observation(float(y[0]), tuple(each[0].tolist()))
 
 
 def is_robustness(plan: ProblemPlan) -> bool:

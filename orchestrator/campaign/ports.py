@@ -8,7 +8,8 @@ from typing import Protocol
 from ...schemas.ids import RolloutId
 from ...schemas.result.block_facts import BatchFact, StoredFact
 from ...schemas.result.facts import Header, ProposalFact, RolloutFact
-from ...schemas.trajectory.batch import Batch, BatchFile, read_batch
+from ...schemas.trajectory.batch import Batch, BatchFile, digest_of, read_batch
+from ...schemas.trajectory.reduced import Reduced, read_stored
 from ...schemas.trajectory.trajectory import Trajectory, decode
 from ..store import files as evidence
 
@@ -79,7 +80,7 @@ class Recorded:
         self._kept: dict[RolloutId, Trajectory] = {}
         self._batches: dict[str, tuple[BatchFact, Batch]] = {}
         """By the digests of their files."""
-        self._file: tuple[str, BatchFile] | None = None
+        self._file: tuple[str, BatchFile[Batch] | BatchFile[Reduced]] | None = None
         """The batch that was read last, by the digest of its file: its rollouts are read one after the other."""
 
     def keep(self, rollout: RolloutId, trajectory: Trajectory) -> None:
@@ -114,8 +115,13 @@ class Recorded:
         """Return the trajectory of a rollout."""
         return self.read(self._store.rollout(rollout))
 
+    def digest(self, rollout: RolloutId) -> bytes:
+        """Return the digest of the samples of a rollout, see `digest_of`; of one of a batch its fact has it."""
+        fact = self._store.rollout(rollout)
+        return bytes.fromhex(fact.sha256) if fact.batch else digest_of(self.read(fact))
+
     def read(self, fact: RolloutFact) -> Trajectory:
-        """Return the trajectory that a fact names."""
+        """Return the trajectory that a fact names; raises TrajectoryError if its samples were not kept."""
         if not fact.batch:
             return decode(evidence.read_evidence(self._directory, fact.path, fact.sha256))
         if fact.batch in self._batches:
@@ -123,9 +129,8 @@ class Recorded:
             return batch.trajectory(kept.rollouts.index(fact.rollout))
         if self._file is None or self._file[0] != fact.batch:
             data = evidence.read_evidence(self._directory, fact.path, fact.batch)
-            self._file = fact.batch, read_batch(data)
-        file = self._file[1]
-        return file.batch.trajectory(file.place(fact.rollout))
+            self._file = fact.batch, read_stored(data)
+        return self._file[1].alone(fact.rollout).trajectory
 
     def batch(self, fact: BatchFact) -> Batch:
         """Return the batch that a fact names."""

@@ -1,6 +1,7 @@
 """The restoration of trajectory files that a crash of the machine damaged: the same seed gives the same file."""
 
 import hashlib
+import json
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -8,7 +9,8 @@ from ...schemas.errors import PerfboundError
 from ...schemas.ids import RolloutId
 from ...schemas.result.block_facts import BatchFact
 from ...schemas.result.facts import RolloutFact
-from ...schemas.trajectory.batch import with_failures
+from ...schemas.trajectory.batch import read_batch, with_failures
+from ...schemas.trajectory.reduced import Scores, encode_reduced, reduced
 from ..store import files as evidence
 from .ports import FileStore, RecordedRollouts
 
@@ -81,11 +83,9 @@ class Restoration:
 
         """
         fact = self._damaged[rollout][0]
+        if isinstance(fact, BatchFact):
+            payload = _as_recorded(payload, fact)
         sha256 = hashlib.sha256(payload).hexdigest()
-        if sha256 != fact.sha256 and isinstance(fact, BatchFact) and fact.failures:
-            # Rollouts that failed then may succeed now: the recorded file has zeros and the reason in their places.
-            payload = with_failures(payload, dict(fact.failures))
-            sha256 = hashlib.sha256(payload).hexdigest()
         # The chain has the recorded digest: other bytes would make the evidence contradict the certificate.
         if sha256 != fact.sha256:
             raise PerfboundError(
@@ -98,3 +98,20 @@ class Restoration:
         del self._damaged[rollout][0]
         if not self._damaged[rollout]:
             del self._damaged[rollout]
+
+
+def _as_recorded(payload: bytes, fact: BatchFact) -> bytes:
+    """Return the file of a batch that was simulated again as it was recorded, if the rollouts are the same."""
+    if fact.failures and hashlib.sha256(payload).hexdigest() != fact.sha256:
+        # Rollouts that failed then may succeed now: the recorded file has zeros and the reason in their places.
+        payload = with_failures(payload, dict(fact.failures))
+    if fact.kept is None:
+        return payload
+    batch, text, metadata = read_batch(payload)
+    if len(batch.failures) > len(fact.failures):
+        return payload  # one that succeeded then has failed now
+    assert fact.robustness is not None, "only batches with a robustness are reduced"
+    scores = Scores(fact.robustness, fact.by_tolerance, fact.ended)
+    rest = {name: value for name, value in metadata.items() if name != "columns"}
+    found = reduced(batch, fact.kept, scores, dict(fact.failures))
+    return encode_reduced(found, request=json.loads(text), metadata=rest)

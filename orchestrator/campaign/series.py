@@ -161,6 +161,13 @@ class Series:
             tuple(self.course),
         )
 
+    def propose(self, fact: ProposalFact | BlockProposalFact) -> None:
+        """Take the proposal of a test, or of a block."""
+        if isinstance(fact, BlockProposalFact):
+            self.blocks[fact.test] = fact
+        else:
+            self.proposals[fact.test] = fact
+
     def record(self, fact: BatchFact) -> None:
         """Take a recorded batch of an open test, or block."""
         if fact.block in self.blocks:
@@ -266,11 +273,47 @@ def _same_bound(recomputed: Bound, recorded: Bound) -> bool:
 # The account of a problem
 
 
+class Kept:
+    """Which rollouts of a problem keep their samples, by the key `keep`.
+
+    `failures` are those at robustness 0 or below, with which a rollout counts as a violation. Of `worst N` a rollout is
+    kept if fewer than N of the tests that were closed when its own was proposed are as bad. Neither workers nor the
+    order of arrival decides that; the N worst of all are among them, beside those that were so at their time.
+    """
+
+    def __init__(self, keep: str) -> None:
+        self._most = None if keep in ("all", "failures") else int(keep.removeprefix("worst "))
+        self._all = keep == "all"
+        self._worst = np.empty(0)
+        self._limits: dict[int, float] = {}
+
+    def propose(self, test: int) -> None:
+        """Take a proposed test, or the first one of a block."""
+        if self._most is not None:
+            self._limits[test] = self._worst[-1] if len(self._worst) == self._most else math.inf
+
+    def observe(self, test: int, robustness: NDArray[np.float64]) -> None:
+        """Take the robustness (n,) of all rollouts of a test, or a block, that is closed."""
+        if self._most is not None:
+            del self._limits[test]
+            self._worst = np.sort(np.concatenate((self._worst, robustness)))[: self._most]
+
+    def places(self, test: int, robustness: NDArray[np.float64]) -> list[int] | None:
+        """Return which rollouts (R,) of an open test, or block, are kept, a failed one having NaN; None for all."""
+        if self._all:
+            return None
+        if self._most is None:
+            return np.flatnonzero(robustness <= 0).tolist()
+        order = np.argsort(robustness, kind="stable")[: self._most]
+        return sorted(order[robustness[order] < self._limits[test]].tolist())
+
+
 @dataclass(slots=True)
 class Account(Series):
     """The facts of one problem."""
 
     plan: ProblemPlan = field(kw_only=True)
+    kept: Kept = field(default_factory=lambda: Kept("all"))
     proposed: list[Proposal] = field(default_factory=list)
     """The proposals of the closed tests, where a kernel method may be given them again; its kernel rows cost more."""
     excess: float = -math.inf
@@ -291,6 +334,11 @@ class Account(Series):
     def closed(self) -> list[tuple[Proposal, Observation]]:
         """The closed tests of a problem with a kernel, in test order."""
         return list(zip(self.proposed, self.observed, strict=True))
+
+    def propose(self, fact: ProposalFact | BlockProposalFact) -> None:
+        """Take a proposal, as every series does."""
+        Series.propose(self, fact)
+        self.kept.propose(fact.test)
 
     def extend(self, fact: ExtensionFact) -> None:
         """Take an extension of the campaign."""
@@ -314,9 +362,8 @@ class Account(Series):
                 by_test.setdefault(each.rollout.test, {})[each.rollout[2:]] = each.robustness or 0.0
             for test, gaps in enumerate(fact.contributions.tolist(), start=fact.test):
                 self.excess = max(self.excess, objectives.excess(self.plan, by_test[test], gaps))
-        for batch in batches:
-            if batch.robustness is not None:
-                self.robustness.extend(batch.robustness[batch.succeeded].tolist())
+        margins = [each.robustness[each.succeeded] for each in batches if each.robustness is not None]
+        self._take(fact.test, np.concatenate(margins) if margins else np.empty(0))
         return batches
 
     def observe(self, fact: ObservationFact) -> list[RolloutFact]:
@@ -328,7 +375,10 @@ class Account(Series):
             # The composition needs a gap that dominates the robustness difference in every pair: checked by the audit.
             robustness = {(each.rollout.variant, each.rollout.replicate): each.robustness or 0.0 for each in rollouts}
             self.excess = max(self.excess, objectives.excess(self.plan, robustness, fact.observation.each))
-        for rollout in rollouts:
-            if rollout.robustness is not None:
-                self.robustness.append(rollout.robustness)
+        margins = [each.robustness for each in rollouts if each.robustness is not None]
+        self._take(fact.test, np.array(margins))
         return rollouts
+
+    def _take(self, test: int, robustness: NDArray[np.float64]) -> None:
+        self.robustness.extend(robustness.tolist())
+        self.kept.observe(test, robustness)

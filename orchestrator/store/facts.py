@@ -57,8 +57,9 @@ def _rollout_fact(row: Any) -> RolloutFact | BatchFact:
     file = (row.sha256, row.size, row.path)
     if row.seeds is not None:
         failures = tuple((int(place), str(reason)) for place, reason in json.loads(row.failures))
-        robustness, tolerance, ended = (each or b"" for each in (row.robustness_of, row.by_tolerance_of, row.ended_of))
-        columns = (row.seeds, row.digests, robustness, tolerance, ended)
+        optional = (row.robustness_of, row.by_tolerance_of, row.ended_of, row.kept_of)
+        robustness, tolerance, ended, kept = (each or b"" for each in optional)
+        columns = (row.seeds, row.digests, robustness, tolerance, ended, kept)
         return BatchFact(rollout, row.block, row.replicates, *file, *columns, failures)
     return RolloutFact(rollout, row.seed, *file, row.robustness, bool(row.by_tolerance), row.ended)
 
@@ -67,7 +68,8 @@ def each_rollout_fact(row: Any) -> RolloutFact:
     """Read a row of the view `each_rollout`."""
     rollout = RolloutId(row.problem, row.test, row.variant, row.replicate)
     file = (row.sha256, row.size, row.path)
-    return RolloutFact(rollout, row.seed, *file, row.robustness, bool(row.by_tolerance), row.ended, row.batch)
+    marks = (bool(row.by_tolerance), row.ended, row.batch, bool(row.kept))
+    return RolloutFact(rollout, row.seed, *file, row.robustness, *marks)
 
 
 def discard_fact(row: Any) -> DiscardFact:
@@ -147,7 +149,7 @@ def fact_row(fact: StoredFact) -> tuple[str, dict[str, Any]]:
 
 _CHOSEN = ("mu", "sigma", "beta", "F")
 _OF_ROLLOUT = ("seed", "sha256", "size", "path", "by_tolerance", "ended")
-_OF_BATCH = ("seeds", "digests", "robustness_of", "by_tolerance_of", "ended_of", "failures")
+_OF_BATCH = ("seeds", "digests", "robustness_of", "by_tolerance_of", "ended_of", "kept_of", "failures")
 
 
 def _sums(fact: RolloutFact | BatchFact) -> dict[str, Any]:
@@ -178,6 +180,7 @@ def _batch_row(fact: BatchFact) -> dict[str, Any]:
         "robustness_of": fact.robustness_column or None,
         "by_tolerance_of": fact.tolerance_column or None,
         "ended_of": fact.ended_column or None,
+        "kept_of": fact.kept_column or None,
         "failures": canonical_json([list(each) for each in fact.failures]),
     }
 

@@ -87,6 +87,7 @@ rollouts = Table(
     Column("robustness_of", LargeBinary),  # float64, NaN for a failed rollout
     Column("by_tolerance_of", LargeBinary),  # a byte each
     Column("ended_of", LargeBinary),  # float64, NaN where it did not end
+    Column("kept_of", LargeBinary),  # a byte each: whether the file has its samples; NULL where it has all of them
     Column("failures", Text),  # place in the batch and reason of each failed rollout, JSON
     # The retry of a rollout that failed in a batch is a batch of its own, perhaps with the same first rollout.
     UniqueConstraint("problem", "test", "variant", "replicate", "places"),
@@ -235,7 +236,7 @@ each_observation = _view("each_observation", "seq", "problem", "test", "y", "eac
 each_rollout = _view(
     "each_rollout",
     *("seq", "problem", "test", "variant", "replicate", "seed", "sha256", "size", "path", "robustness"),
-    *("by_tolerance", "ended", "attempted", "batch"),
+    *("by_tolerance", "ended", "attempted", "batch", "kept"),
 )
 
 FACTS = (campaign, tests, rollouts, discards, observations, bounds, extensions)

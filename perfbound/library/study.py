@@ -16,7 +16,6 @@ from typing import Any, NoReturn
 from rich.console import Console
 
 from ..orchestrator.campaign.admission import Admission
-from ..orchestrator.campaign.copies import same_trajectory
 from ..orchestrator.campaign.ledger import Ledger, Work
 from ..orchestrator.campaign.software import software
 from ..orchestrator.certificate import files
@@ -38,6 +37,7 @@ from ..schemas.link.configuration import LOCAL
 from ..schemas.result.facts import RECORDED, RESTORED, Header
 from ..schemas.rollout import RolloutRequest
 from ..schemas.system import OptionValue, SystemSpec
+from ..schemas.trajectory.batch import digest_of
 from ..schemas.trajectory.input_signal import start_values
 from .handed_in import Admitted, admitted
 from .process import reproducible
@@ -122,7 +122,7 @@ class _Rollouts:
     def same(self, rollout: RolloutId, told: Admitted) -> bool:
         """Whether a rollout was told the same trajectory before, in whatever form."""
         fact = self._journal.rollout(rollout)
-        return fact.sha256 == told.sha256 or same_trajectory(self._ledger.recorded.read(fact), told.trajectory)
+        return fact.sha256 == told.sha256 or self._ledger.recorded.digest(rollout) == digest_of(told.trajectory)
 
     def check(self, rollout: RolloutId, told: Admitted) -> None:
         """Refuse a trajectory from which the objective cannot be computed."""

@@ -10,7 +10,7 @@ from .keys import CampaignKeys
 from .toml_text import toml_file
 
 DECIDES_NOTHING = {
-    *("visual", "max_attempts", "hung_after", "deadline", "platform", "second_opinion"),
+    *("keep", "visual", "max_attempts", "hung_after", "deadline", "platform", "second_opinion"),
     *("required_margin", "required_at_most", "required_probability"),
 }
 """Keys that change no number of a campaign, and so neither its identity nor its seeds."""

@@ -56,6 +56,7 @@ def check_consistent(config: CampaignKeys) -> None:
 def _rules_of_keys(config: CampaignKeys) -> Iterator[Callable[[], None]]:
     """Yield the rules of single keys, on which those of several keys rely."""
     yield partial(_check_repeated, config)
+    yield partial(_check_keep, config)
     yield partial(_check_clip_order, config)
     yield partial(_check_required, config)
     yield partial(check_signals, config.space, config.horizon)
@@ -87,6 +88,20 @@ def _check_repeated(config: CampaignKeys) -> None:
     names = [problem.name for problem in config.problems]
     for repeated in {name for name in names if names.count(name) > 1}:
         raise ValueError(f"problems: {repeated!r} appears twice; list every problem at most once")
+
+
+def _check_keep(config: CampaignKeys) -> None:
+    """Refuse to reduce rollouts to their robustness where that is not all that a test, or a bound, needs of them."""
+    if config.keep == "all":
+        return
+    if config.batch == 1:
+        raise ValueError("keep: what is left of rollouts is packed by batch; give `batch` above 1, or remove this key")
+    for problem in config.problems:
+        if OBJECTIVES[problem.name].measured != "robustness" or problem.method == "paper" or config.specifications:
+            raise ValueError(
+                "keep: only where a test needs the robustness of its rollouts alone, so not with several "
+                "specifications, a gap, a column or method 'paper'; remove this key"
+            )
 
 
 def _check_required(config: CampaignKeys) -> None:

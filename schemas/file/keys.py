@@ -134,6 +134,13 @@ class CampaignKeys(CampaignSize):
         description="rollouts that a worker simulates for one assignment, and that are one file: those of a test, or of"
         " consecutive tests whose starts no rollout decides",
     )
+    keep: str = Field(
+        default="all",
+        pattern=r"^(all|failures|worst [1-9]\d{0,4})$",
+        exclude_if=lambda keep: keep == "all",
+        description='which rollouts of a batch keep their samples: all, `"failures"`, or `"worst 1000"`; of the others '
+        "start, seed, digest and robustness are left, and `verify --resimulate` repeats them",
+    )
     visual: Literal["all", "none"] = Field(
         default="all", description="whether trajectory files have a visual part for viewers"
     )

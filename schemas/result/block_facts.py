@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 from ..base import canonical_json
 from ..batch import batch_rollouts
 from ..ids import RolloutId
+from ..ranges import DIGEST
 from ..values import Observation, Proposal
 from .facts import DiscardFact, Fact, ObservationFact, ProposalFact, RolloutFact
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Marks = NDArray[np.bool_]
-DIGEST = 32
-"""Bytes of the digest of one rollout, see `Batch.digests`; zeros for one that has failed."""
 
 
 def column(values: object, kind: str = "<f8") -> bytes:
@@ -93,6 +92,8 @@ class BatchFact:
     """Whether the tolerance around time stamps could decide a sign: a byte for each rollout."""
     ended_column: bytes = b""
     """s at which a rollout ended before the horizon; NaN for one that did not."""
+    kept_column: bytes = b""
+    """Whether the samples of a rollout are in the file, a byte for each; empty where all of them are."""
     failures: tuple[tuple[int, str], ...] = ()
     """Place and reason of each rollout that has failed, in their order."""
 
@@ -122,7 +123,7 @@ class BatchFact:
 
     @property
     def digests(self) -> NDArray[np.uint8]:
-        """The digest of each rollout, shape (R, 32)."""
+        """The digest of each rollout, shape (R, 32), see `Batch.digests`; zeros for one that has failed."""
         return np.frombuffer(self.digest_column, dtype=np.uint8).reshape(-1, DIGEST)
 
     @property
@@ -143,6 +144,11 @@ class BatchFact:
         return np.frombuffer(self.ended_column) if self.ended_column else np.full(len(self), np.nan)
 
     @property
+    def kept(self) -> list[int] | None:
+        """The places of the rollouts whose samples are in the file; None where all of them are."""
+        return np.flatnonzero(np.frombuffer(self.kept_column, np.bool_)).tolist() if self.kept_column else None
+
+    @property
     def succeeded(self) -> Marks:
         """Whether each rollout has a trajectory, shape (R,)."""
         found = np.ones(len(self), dtype=np.bool_)
@@ -154,6 +160,7 @@ class BatchFact:
         robustness = None if self.robustness is None else self.robustness.tolist()
         tolerance, ended = self.by_tolerance.tolist(), self.ended.tolist()
         seeds, succeeded, digests = self.seeds.tolist(), self.succeeded.tolist(), self.digest_column.hex()
+        kept = self.kept_column or b"\1" * len(self)
         for place, rollout in enumerate(self.rollouts):
             if succeeded[place]:
                 sha256 = digests[2 * DIGEST * place : 2 * DIGEST * (place + 1)]
@@ -167,6 +174,7 @@ class BatchFact:
                     tolerance[place],
                     ended[place] if ended[place] == ended[place] else None,
                     batch=self.sha256,
+                    kept=bool(kept[place]),
                 )
 
 

@@ -122,6 +122,8 @@ class RolloutFact:
     """s at which it ended before the horizon, of a system with `after_end`."""
     batch: str = ""
     """Of a rollout of a batch: the sha256 of the file that it shares with the others; `sha256` is then its own."""
+    kept: bool = True
+    """Whether its samples are in the file, see the key `keep`."""
 
     @property
     def violates(self) -> bool:

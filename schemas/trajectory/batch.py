@@ -16,7 +16,7 @@ import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -121,10 +121,27 @@ class Batch:
             yield found.digest()
 
 
-class BatchFile(NamedTuple):
+def digest_of(trajectory: Trajectory) -> bytes:
+    """Return the digest of a rollout, which is the same alone and in a batch, see `Batch.digests`."""
+    # Column after column, the time first: two trajectories of one system share it if they agree in every bit.
+    return hashlib.sha256(np.ascontiguousarray(trajectory.samples.T).tobytes()).digest()
+
+
+class Trajectories(Protocol):
+    """A batch whose rollouts are addressed by their places."""
+
+    def trajectory(self, place: int) -> Trajectory:
+        """Return the trajectory of one rollout; raises KeyError where there is none."""
+        ...
+
+
+Content = TypeVar("Content", bound=Trajectories)
+
+
+class BatchFile(NamedTuple, Generic[Content]):
     """The content of a batch's file; `request` is the JSON text."""
 
-    batch: Batch
+    batch: Content
     request: bytes
     metadata: dict[str, str]
 
@@ -136,7 +153,7 @@ class BatchFile(NamedTuple):
         """Return one rollout with the request and the metadata that its own file would have.
 
         Raises:
-            TrajectoryError: it has failed, or is not in the batch.
+            TrajectoryError: it has failed, is not in the batch, or its samples were not kept.
 
         """
         try:
@@ -144,7 +161,7 @@ class BatchFile(NamedTuple):
             request = self._requested.single(place)
             return File(self.batch.trajectory(place), request.model_dump(mode="json"), request.metadata)
         except (KeyError, ValueError) as error:
-            raise TrajectoryError(f"{rollout} is not in the file of its batch: {error}") from None
+            raise TrajectoryError(f"{rollout} is not in the file of its batch: {error.args[0]}") from None
 
     @property
     def _requested(self) -> BatchRequest:
@@ -164,12 +181,11 @@ def encode_batch(batch: Batch, *, request: Mapping[str, Any], metadata: Mapping[
         EVIDENCE: to_npy(batch.values),
     }
     if batch.failures:
-        listed = [[place, shortened(reason)] for place, reason in sorted(batch.failures.items())]
-        attachments[FAILURES] = canonical_json(listed).encode()
+        attachments[FAILURES] = failures_text(batch.failures)
     return canonical_file(OF_BATCH, {**metadata, "columns": json.dumps(batch.columns)}, attachments)
 
 
-def read_batch(data: bytes) -> BatchFile:
+def read_batch(data: bytes) -> BatchFile[Batch]:
     """Return the content of the one file that `encode_batch` writes for it.
 
     Every byte is covered by a checksum that is verified here, and nothing larger than the file is allocated.
@@ -187,7 +203,7 @@ def read_batch(data: bytes) -> BatchFile:
         if not isinstance(columns, list) or not all(isinstance(name, str) for name in columns):
             raise TrajectoryError("the columns are not a list of names")
         check_length(REQUEST, attachments[REQUEST])
-        failures = _failures(attachments.get(FAILURES))
+        failures = failures_of(attachments.get(FAILURES))
         arrays = from_npy(TIME, attachments[TIME], 1), from_npy(EVIDENCE, attachments[EVIDENCE], 3)
         try:
             batch = Batch(tuple(columns), *arrays, failures)
@@ -208,7 +224,13 @@ def with_failures(data: bytes, failures: Mapping[int, str]) -> bytes:
     return encode_batch(failed, request=json.loads(request), metadata=rest)
 
 
-def _failures(content: bytes | None) -> dict[int, str]:
+def failures_text(failures: Mapping[int, str]) -> bytes:
+    """Return the attachment with place and reason of each failed rollout."""
+    return canonical_json([[place, shortened(reason)] for place, reason in sorted(failures.items())]).encode()
+
+
+def failures_of(content: bytes | None) -> dict[int, str]:
+    """Read what `failures_text` has written; raises `TrajectoryError` for anything else."""
     if content is None:
         return {}
     check_length(FAILURES, content)
@@ -216,7 +238,6 @@ def _failures(content: bytes | None) -> dict[int, str]:
     if not isinstance(listed, list) or not all(isinstance(each, list) and len(each) == 2 for each in listed):
         raise TrajectoryError(f"{FAILURES} is no list of places with their reasons")
     found = {place: reason for place, reason in listed if type(place) is int and type(reason) is str}
-    again = [[place, shortened(reason)] for place, reason in sorted(found.items())]
-    if not found or canonical_json(again).encode() != content:
+    if not found or failures_text(found) != content:
         raise TrajectoryError(f"{FAILURES} is not written as perfbound writes it")
     return found

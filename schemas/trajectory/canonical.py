@@ -34,7 +34,8 @@ MAGIC = b"\x89MCAP0\r\n"
 LIBRARY = "perfbound"
 EVIDENCE, REQUEST, RECORD = "trajectory.npy", "request.json", "rollout"
 TIME, FAILURES = "time.npy", "failures.json"
-JSON, NPY = "application/json", "application/x-npy"
+KEPT, DIGESTS, SCORES = "kept.json", "digests.bin", "scores.npy"
+JSON, NPY, BINARY = "application/json", "application/x-npy", "application/octet-stream"
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +52,14 @@ class Layout:
 
 OF_ROLLOUT = Layout(RECORD, ((REQUEST, JSON), (EVIDENCE, NPY)))
 OF_BATCH = Layout("batch", ((REQUEST, JSON), (TIME, NPY), (EVIDENCE, NPY), (FAILURES, JSON)), optional=FAILURES)
+OF_REDUCED = Layout(
+    "reduced",
+    (
+        *((REQUEST, JSON), (TIME, NPY), (KEPT, JSON), (EVIDENCE, NPY)),
+        *((DIGESTS, BINARY), (SCORES, NPY), (FAILURES, JSON)),
+    ),
+    optional=FAILURES,
+)
 
 _RECORD = struct.Struct("<BQ")  # opcode, length of the content
 _LENGTH, _SIZE = struct.Struct("<I"), struct.Struct("<Q")
@@ -93,6 +102,12 @@ def canonical_file(layout: Layout, metadata: Mapping[str, str], attachments: Map
         crc = zlib.crc32(part, crc)
     summary = sum(map(len, parts)) + _DATA_END.size
     return b"".join([*parts, _DATA_END.pack(Opcode.DATA_END, 4, crc), _plain_end(summary, indexes)])
+
+
+def is_of(layout: Layout, data: bytes) -> bool:
+    """Whether a file claims to have this layout; nothing else of it is checked."""
+    name = _packed_text(layout.record)
+    return data[len(_HEAD) + _RECORD.size :][: len(name)] == name
 
 
 def canonical_evidence(data: bytes, layout: Layout, *, visual: bool) -> Evidence:

@@ -8,10 +8,10 @@ from ....schemas.base import digest
 from ....schemas.ids import RECHECK, RolloutId, of_extension
 from ....schemas.result.facts import BoundFact, Header, ObservationFact, ProposalFact
 from ....schemas.rollout import RolloutRequest
+from ....schemas.trajectory.batch import digest_of
 from ....schemas.trajectory.trajectory import Trajectory
 from ....schemas.values import Bound, Observation, Proposal
 from .. import state
-from ..copies import same_trajectory
 from ..observation import Others, Trajectories
 from ..ports import Recorded
 from ..seeds import drawn, rollout_seed
@@ -73,7 +73,7 @@ class Recheck:
     def observation(self, series: Series, test: int, trajectories: Trajectories) -> ObservationFact:
         """Compare the test's trajectory with its original, bit by bit."""
         (again,) = trajectories.values()
-        agrees = float(same_trajectory(self._recorded.trajectory(self.rollouts[test]), again))
+        agrees = float(self._recorded.digest(self.rollouts[test]) == digest_of(again))
         found = Observation(agrees, (agrees,))
         return ObservationFact(self.name, test, found, series.next_link(test, found))
 

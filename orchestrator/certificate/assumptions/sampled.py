@@ -26,7 +26,7 @@ def sampled_assumptions(ledger: Ledger, account: Account) -> Iterator[Assumption
     plan, noisy = account.plan, noisy_variants(ledger, account)
     if not noisy:
         return
-    compared, copied = copies(account, noisy, ledger.recorded.trajectory)
+    compared, copied = copies(account, noisy, ledger.recorded.digest)
     values: dict[str, int | float | str] = {
         "rollouts": sum(account.counts[variant] for variant in noisy),
         "compared": compared,
@@ -43,7 +43,7 @@ def _independent(
     name, copied = f"independent_rollouts/{account.plan.key}", values["copies"]
     if not copied:
         return assumption(name, "assumed", values)
-    found = tested_copies(account, noisy, ledger.recorded.trajectory)
+    found = tested_copies(account, noisy, ledger.recorded.digest)
     tested = {**values, "evidence": found.evidence, "threshold": 1 / LEVEL, "level": LEVEL}
     if found.refuted:
         return assumption(name, "refuted", tested, form="copied_tests")

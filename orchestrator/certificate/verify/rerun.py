@@ -23,10 +23,10 @@ from ....schemas.result.facts import (
     ProposalFact,
     RolloutFact,
 )
-from ....schemas.trajectory.batch import Batch, read_batch
+from ....schemas.trajectory.reduced import read_stored
 from ....schemas.trajectory.trajectory import Trajectory, decode, read_mcap
 from ....schemas.values import Proposal
-from ...campaign.admission import admit_either, scored
+from ...campaign.admission import admit, admit_stored, scored
 from ...campaign.decisions import Follow
 from ...campaign.ledger import Ledger, Scored, Work
 from ...store import files
@@ -221,12 +221,12 @@ class Rerun:
         # As the service admits a result: the request follows from the decisions so far, not from the file.
         try:
             request = self.ledger.request(rollout)
-            admitted = admit_either(request, self._columns, payload, entry.sha256)
-            if isinstance(admitted, Batch):
-                assert isinstance(request, BatchRequest)
-                found: Trajectory | Scored = scored(self.ledger, request, admitted)
+            found: Trajectory | Scored
+            if isinstance(request, BatchRequest):
+                batch = admit_stored(request, self._columns, payload, entry.sha256)
+                found = scored(self.ledger, request, batch)
             else:
-                found = admitted
+                found = admit(request, self._columns, payload, entry.sha256)
         except RequestError as error:
             raise CheckFailed("requests", f"{entry.path}: {error}") from None
         except EvidenceError as error:
@@ -287,7 +287,7 @@ class Rerun:
         return BlockProposalFact.of(own.problem, own.test, own.nodes, x)
 
     def _starts(self, file: FileId) -> tuple[tuple[float, ...], ...]:
-        return BatchRequest.model_validate_json(read_batch(self._read(self._entries[file])).request).x
+        return BatchRequest.model_validate_json(read_stored(self._read(self._entries[file])).request).x
 
     def _check_end(self, used: set[FileId], missing: Sequence[RolloutId]) -> None:
         # A campaign cut at a good moment: its rule has not stopped it.

@@ -1,13 +1,15 @@
 """The re-simulation of random rollouts: a test on a sample that the trajectories come from the simulator."""
 
+import json
 import math
 import random
 import secrets
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,8 +17,12 @@ from ....schemas.base import canonical_json
 from ....schemas.batch import BatchRequest
 from ....schemas.ids import FileId
 from ....schemas.rollout import RolloutRequest
-from ....schemas.trajectory.batch import read_batch
+from ....schemas.trajectory.batch import Batch, BatchFile, read_batch
+from ....schemas.trajectory.reduced import Reduced, Scores, encode_reduced, read_stored, reduced
 from ....schemas.trajectory.trajectory import Trajectory, read_mcap
+from ....schemas.trajectory.visual import Floats
+from ...campaign.decisions import scores_of_batch
+from ...campaign.observation import Observer
 from ...mathematics.bounds.one_law.share import unseen_share
 from ...store import files
 from .checks import CheckFailed
@@ -31,6 +37,17 @@ Simulate = Callable[[Path, RolloutRequest | BatchRequest], None]
 
 
 @dataclass(frozen=True, slots=True)
+class Repetition:
+    """Where the recorded rollouts are, and how they are simulated and scored again."""
+
+    directory: Path
+    entries: Mapping[FileId, Entry]
+    simulate: Simulate
+    observer: Observer
+    """Scores those whose samples were not kept: their scores are compared in place of them."""
+
+
+@dataclass(frozen=True, slots=True)
 class Resimulation:
     """One rollout that was simulated again, compared with its recorded trajectory."""
 
@@ -40,14 +57,8 @@ class Resimulation:
     """The largest one of any number, in the unit of its column."""
 
 
-def resimulate(
-    directory: Path,
-    entries: Mapping[FileId, Entry],
-    count: int,
-    progress: Callable[[int], None],
-    simulate: Simulate,
-) -> tuple[Resimulation, ...]:
-    """Simulate `count` rollouts again by `simulate`, chosen at random after the evidence is fixed.
+def resimulate(wanted: Repetition, count: int, progress: Callable[[int], None]) -> tuple[Resimulation, ...]:
+    """Simulate `count` rollouts again, chosen at random after the evidence is fixed.
 
     Raises:
         CheckFailed: one gives another trajectory.
@@ -56,41 +67,79 @@ def resimulate(
     """
     # From the operating system, after the evidence is fixed: a forger cannot prepare the rollouts that are chosen.
     chooser = random.Random(secrets.randbits(64))  # noqa: S311  (seeded by the operating system)
-    chosen = chooser.sample(sorted(entries), min(count, len(entries)))
+    chosen = chooser.sample(sorted(wanted.entries), min(count, len(wanted.entries)))
     found: list[Resimulation] = []
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(AT_A_TIME) as pool:
-        tasks = ((directory, file, entries[file], Path(folder), simulate) for file in chosen)
-        for again in pool.map(lambda task: _simulate_again(*task), tasks):
+        for again in pool.map(lambda file: _simulate_again(wanted, file, Path(folder)), chosen):
             found.append(again)
             progress(len(found))
     return tuple(found)
 
 
-def _simulate_again(directory: Path, file: FileId, entry: Entry, folder: Path, simulate: Simulate) -> Resimulation:
-    before = files.read_evidence(directory, entry.path, entry.sha256)
+def _simulate_again(wanted: Repetition, file: FileId, folder: Path) -> Resimulation:
+    entry = wanted.entries[file]
+    before = files.read_evidence(wanted.directory, entry.path, entry.sha256)
     out = folder / f"{file}.mcap"
     if file.places:
-        simulate(out, BatchRequest.model_validate_json(read_batch(before).request))
+        wanted.simulate(out, BatchRequest.model_validate_json(read_stored(before).request))
     else:
-        simulate(out, RolloutRequest.model_validate_json(canonical_json(read_mcap(before).request)))
+        wanted.simulate(out, RolloutRequest.model_validate_json(canonical_json(read_mcap(before).request)))
     after = out.read_bytes()
     out.unlink()
+    if file.places and isinstance((kept := read_stored(before)).batch, Reduced):
+        after = _as_kept(kept, after, wanted.observer)
     if after == before:
         return Resimulation(file, bitwise=True, difference=0.0)
     distance = _batch_difference(before, after) if file.places else _difference(before, after)
     # In this form a NaN, of which every comparison is false, fails.
     if not distance <= TOLERANCE:
         raise CheckFailed("resimulation", f"{file}: simulated again, it differs by up to {distance:.3g}")
-    return Resimulation(file, bitwise=distance == 0.0 and file.places > 0, difference=distance)
+    return Resimulation(file, bitwise=file.places > 0 and _same_digests(before, after), difference=distance)
+
+
+def _as_kept(before: BatchFile[Any], after: bytes, observer: Observer) -> bytes:
+    """Return the file of a batch that was simulated again, reduced as the recorded one."""
+    batch, request, _ = read_batch(after)
+    # Every rollout is scored: a robustness that no samples back any more could be any number.
+    found = scores_of_batch(observer, BatchRequest.model_validate_json(request), batch)
+    assert found.robustness is not None, "only batches with a robustness are reduced"
+    kept = [place for place in before.batch.kept if place not in found.failures]
+    scores = Scores(found.robustness, found.by_tolerance, found.ended)
+    rest = {name: value for name, value in before.metadata.items() if name != "columns"}
+    return encode_reduced(
+        reduced(batch, kept, scores, found.failures), request=json.loads(before.request), metadata=rest
+    )
 
 
 def _batch_difference(before: bytes, after: bytes) -> float:
-    """Return the largest difference of any number; a rollout that failed in one of the two is left out."""
-    a, b = read_batch(before).batch, read_batch(after).batch
-    if a.columns != b.columns or a.values.shape != b.values.shape:
-        return float("inf")
+    """Return the largest difference of any number; a rollout that failed in one of the two is left out.
+
+    Of one whose samples were not kept the scores are compared in place of them.
+    """
+    a, b = read_stored(before).batch, read_stored(after).batch
+    if a.columns != b.columns or a.time.shape != b.time.shape or len(a) != len(b):
+        return math.inf
     both = sorted({*a.succeeded} & {*b.succeeded})
-    return float(max(np.max(np.abs(a.time - b.time)), np.max(np.abs(a.values[:, both] - b.values[:, both]), initial=0)))
+    distances = [np.abs(a.time - b.time)]
+    if isinstance(a, Reduced) and isinstance(b, Reduced):
+        for one, other in zip(a.scores, b.scores, strict=True):
+            first, second = one[both].astype(np.float64), other[both].astype(np.float64)
+            # NaN: it did not end early. A mark, or an end, that only one of them has is no last digit.
+            distances.append(np.where(np.isnan(first) & np.isnan(second), 0.0, np.abs(first - second)))
+        both = sorted({*a.kept} & {*b.kept})
+    distances.append(np.abs(_samples(a, both) - _samples(b, both)))
+    return float(max(np.max(each, initial=0.0) for each in distances))
+
+
+def _same_digests(before: bytes, after: bytes) -> bool:
+    """Whether the rollouts that succeeded in both batches agree in every bit."""
+    pairs = zip(read_stored(before).batch.digests(), read_stored(after).batch.digests(), strict=True)
+    return all(one == other for one, other in pairs if one and other)
+
+
+def _samples(batch: Batch | Reduced, places: Sequence[int]) -> Floats:
+    """Return the samples of some of the rollouts, column x rollout x time."""
+    return batch.values[:, [batch.kept.index(each) for each in places] if isinstance(batch, Reduced) else list(places)]
 
 
 def _difference(before: bytes, after: bytes) -> float:

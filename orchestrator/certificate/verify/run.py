@@ -39,7 +39,7 @@ from .manifest import Entry, check_files, parse_manifest, sha256_of, split_manif
 from .regions import compared_regions
 from .reissue import compared, reissue
 from .rerun import Rerun
-from .resimulate import Simulate, finding, resimulate
+from .resimulate import Repetition, finding, resimulate
 from .stages import Report
 
 NOT_REPEATED = {
@@ -157,7 +157,8 @@ def _evidence(
             checks.skipped("resimulation", NOT_REPEATED[header.spec.repeated].format(name=header.spec.name))
         else:
             simulate = partial(_simulate, header, again.system)
-            _resimulation(directory, entries, again.rollouts, simulate, checks=checks, report=report)
+            repetition = Repetition(directory, entries, simulate, rerun.ledger.observer)
+            _resimulation(repetition, again.rollouts, checks=checks, report=report)
     return reissued, header
 
 
@@ -295,23 +296,15 @@ def _simulate(header: Header, system: str | None, path: Path, request: RolloutRe
     simulate_to(path, request, header.spec, system, limit=header.config.deadline)
 
 
-def _resimulation(
-    directory: Path,
-    entries: Mapping[FileId, Entry],
-    rollouts: int,
-    simulate: Simulate,
-    *,
-    checks: Checks,
-    report: Report,
-) -> None:
+def _resimulation(wanted: Repetition, rollouts: int, *, checks: Checks, report: Report) -> None:
     """Simulate rollouts again, if requested."""
     if not rollouts:
         checks.skipped("resimulation", "request it with --resimulate K; workers_honest stays assumed")
         return
     # An impossible simulation fails the check: a forger could cause it.
-    count = min(rollouts, len(entries))
-    found = resimulate(directory, entries, count, lambda done: report("simulation", done, count), simulate)
-    checks.passed("resimulation", finding(found, len(entries)))
+    count = min(rollouts, len(wanted.entries))
+    found = resimulate(wanted, count, lambda done: report("simulation", done, count))
+    checks.passed("resimulation", finding(found, len(wanted.entries)))
 
 
 def extended(certificate: Certificate) -> tuple[ExtensionFact, ...]:

@@ -7,7 +7,8 @@ from pathlib import Path, PurePosixPath
 from ....schemas.errors import EvidenceError, PerfboundError, TrajectoryError
 from ....schemas.file.problem_models import Problem
 from ....schemas.result.facts import Header, RolloutFact
-from ....schemas.trajectory.batch import BatchFile, read_batch
+from ....schemas.trajectory.batch import Batch, BatchFile
+from ....schemas.trajectory.reduced import Reduced, read_stored
 from ....schemas.trajectory.trajectory import File, read_mcap
 from ...certificate.words.format import replay_command
 from ...store import files
@@ -107,6 +108,8 @@ def read_recorded(directory: Path, fact: RolloutFact) -> File:
             f"{directory}: rollout {fact.rollout}: {fact.path!r} is not a path in the run directory; restore the "
             "database from a copy"
         )
+    if not fact.kept:
+        raise EvidenceError(f"rollout {fact.rollout}: its samples were not kept (key `keep`)")
     try:
         if fact.batch:
             return _batch_file(directory, fact.path, fact.batch).alone(fact.rollout)
@@ -116,9 +119,9 @@ def read_recorded(directory: Path, fact: RolloutFact) -> File:
 
 
 @lru_cache(maxsize=2)
-def _batch_file(directory: Path, path: str, sha256: str) -> BatchFile:
+def _batch_file(directory: Path, path: str, sha256: str) -> BatchFile[Batch] | BatchFile[Reduced]:
     # Kept: the rollouts of a batch are read one after the other.
-    return read_batch(files.read_evidence(directory, path, sha256))
+    return read_stored(files.read_evidence(directory, path, sha256))
 
 
 def _is_inside(path: str) -> bool:
