@@ -284,6 +284,8 @@ class Kept:
     def __init__(self, keep: str) -> None:
         self._most = None if keep in ("all", "failures") else int(keep.removeprefix("worst "))
         self._all = keep == "all"
+        self.number = 0
+        """Rollouts of closed tests that keep their samples."""
         self._worst = np.empty(0)
         self._limits: dict[int, float] = {}
 
@@ -292,8 +294,9 @@ class Kept:
         if self._most is not None:
             self._limits[test] = self._worst[-1] if len(self._worst) == self._most else math.inf
 
-    def observe(self, test: int, robustness: NDArray[np.float64]) -> None:
-        """Take the robustness (n,) of all rollouts of a test, or a block, that is closed."""
+    def observe(self, test: int, robustness: NDArray[np.float64], number: int) -> None:
+        """Take the robustness (n,) of all rollouts of a test, or a block, that is closed, `number` of them kept."""
+        self.number += number
         if self._most is not None:
             del self._limits[test]
             self._worst = np.sort(np.concatenate((self._worst, robustness)))[: self._most]
@@ -363,7 +366,8 @@ class Account(Series):
             for test, gaps in enumerate(fact.contributions.tolist(), start=fact.test):
                 self.excess = max(self.excess, objectives.excess(self.plan, by_test[test], gaps))
         margins = [each.robustness[each.succeeded] for each in batches if each.robustness is not None]
-        self._take(fact.test, np.concatenate(margins) if margins else np.empty(0))
+        number = sum(int(each.succeeded.sum()) if each.kept is None else len(each.kept) for each in batches)
+        self._take(fact.test, np.concatenate(margins) if margins else np.empty(0), number)
         return batches
 
     def observe(self, fact: ObservationFact) -> list[RolloutFact]:
@@ -376,9 +380,9 @@ class Account(Series):
             robustness = {(each.rollout.variant, each.rollout.replicate): each.robustness or 0.0 for each in rollouts}
             self.excess = max(self.excess, objectives.excess(self.plan, robustness, fact.observation.each))
         margins = [each.robustness for each in rollouts if each.robustness is not None]
-        self._take(fact.test, np.array(margins))
+        self._take(fact.test, np.array(margins), sum(each.kept for each in rollouts))
         return rollouts
 
-    def _take(self, test: int, robustness: NDArray[np.float64]) -> None:
+    def _take(self, test: int, robustness: NDArray[np.float64], number: int) -> None:
         self.robustness.extend(robustness.tolist())
-        self.kept.observe(test, robustness)
+        self.kept.observe(test, robustness, number)

@@ -94,7 +94,7 @@ def assumptions(
     }
     found.append(assumption("finite_rollouts", "derived", rollouts))
     found.append(_reproducible(checks.recheck, measured=measured, irreproducible=irreproducible))
-    found += [*_remarked(ledger), *_discarded(ledger), *_extended(ledger)]
+    found += [*_remarked(ledger), *_reduced(ledger), *_discarded(ledger), *_extended(ledger)]
     if set(PAIR) <= set(accounts):
         # The product needs that neither problem uses the other's data; only method `paper` claims it.
         if all(accounts[name].plan.problem.method == "paper" for name in PAIR):
@@ -104,6 +104,8 @@ def assumptions(
     if repeated == "session":
         found.append(assumption("defined_in_session", "assumed"))
     forms = extended | (MEASURED if measured else {})
+    if ledger.config.keep != "all":
+        forms |= {"workers_honest": "honest_scores"}
     trusted = [assumption(name, "assumed", form=forms.get(name)) for name in TRUSTED]
     return [*found, *(honest if honest and each.id == honest.id else each for each in trusted)]
 
@@ -120,6 +122,15 @@ def _remarked(ledger: Ledger) -> Iterator[Assumption]:
         status: Status = "assumed" if after_end == "hold" else "derived"
         values = {**_counted(ended), "rollouts": rollouts}
         yield assumption("early_ends", status, values, form=f"early_ends_{after_end}{none}")
+
+
+def _reduced(ledger: Ledger) -> Iterator[Assumption]:
+    """Yield a line on the rollouts whose samples were not kept, where a campaign keeps not all."""
+    if (keep := ledger.config.keep) != "all":
+        rollouts = sum(sum(account.counts.values()) for account in ledger.accounts.values())
+        kept = sum(account.kept.number for account in ledger.accounts.values())
+        values: dict[str, int | float | str] = {"keep": keep, "kept": kept, "reduced": rollouts - kept}
+        yield assumption("scores_as_computed", "assumed", values)
 
 
 def _counted(remarked: Iterable[Remarked]) -> dict[str, float | int | str]:

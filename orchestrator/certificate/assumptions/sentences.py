@@ -380,6 +380,16 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "refuted": "a worker was outvoted by two others, and {count} of the rollouts that it had recorded had another "
         "trajectory when they were simulated again: {rollouts}.",
     },
+    "scores_as_computed": {
+        "assumed": "{kept} rollouts have their samples in the evidence (keep = \"{keep}\"), and their robustness is "
+        "recomputed from them; of the {reduced} others start, seed, digest and robustness are left. That their "
+        "robustness is the one that was computed when they came is assumed: `perfbound verify --resimulate` simulates "
+        "a sample of them again.",
+    },
+    "honest_scores": {
+        "assumed": "the trajectories that the workers send are assumed to come from the simulator; robustness is "
+        "recomputed from those whose samples were kept.",
+    },
     "workers_honest": {
         "assumed": "the trajectories that the workers send are assumed to come from the simulator; robustness and gaps "
         "are recomputed from them.",
@@ -480,6 +490,7 @@ STATEMENTS = {
     "replicate_spread": "repeated rollouts vary no more than R allows",
     "reproducible_rollouts": "a rollout follows from its seed",
     "rkhs_norm": "the norm bound B is large enough for this kernel and prior mean",
+    "scores_as_computed": "the robustness of rollouts without samples is the one that was computed",
     "sampled_at_sample_times": "nothing worse happens between two sample times",
     "sigma": "the theorem covers the width of this band",
     "simulator_is_the_system": "the real system behaves like the simulator",
