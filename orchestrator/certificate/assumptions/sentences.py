@@ -381,7 +381,7 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "trajectory when they were simulated again: {rollouts}.",
     },
     "scores_as_computed": {
-        "assumed": "{kept} rollouts have their samples in the evidence (keep = \"{keep}\"), and their robustness is "
+        "assumed": '{kept} rollouts have their samples in the evidence (keep = "{keep}"), and their robustness is '
         "recomputed from them; of the {reduced} others start, seed, digest and robustness are left. That their "
         "robustness is the one that was computed when they came is assumed: `perfbound verify --resimulate` simulates "
         "a sample of them again.",

@@ -177,7 +177,7 @@ REDUCED = {
     "risk, the worst": planned(8, "true_risk", replicates=2, linearised={"centre": 0.1, "spread": 0.2}).model_copy(
         update={"keep": "worst 3"}
     ),
-    "kriging, the worst within a test": planned(4, replicates=10, max_tests=3).model_copy(update={"keep": "worst 6"}),
+    "kriging, the worst within a test": planned(4, replicates=10, max_tests=3).model_copy(update={"keep": "worst 2"}),
     "scenario, the worst within a test": a_list(batch=3, keep="worst 4"),
 }
 """Campaigns that keep not all samples."""
