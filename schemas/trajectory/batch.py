@@ -121,6 +121,13 @@ class Batch:
             yield found.digest()
 
 
+def digest_alone(trajectory: Trajectory) -> str:
+    """Return the sha256 of a rollout as its batch has it, see `Batch.digests`."""
+    found = hashlib.sha256(np.ascontiguousarray(trajectory.samples[:, 0]).data)
+    found.update(np.ascontiguousarray(trajectory.samples[:, 1:].T).data)
+    return found.hexdigest()
+
+
 class BatchFile(NamedTuple):
     """The content of a batch's file; `request` is the JSON text."""
 
@@ -130,7 +137,7 @@ class BatchFile(NamedTuple):
 
     def place(self, rollout: RolloutId) -> int:
         """Return the place of a rollout in the batch; raises ValueError if it is not there."""
-        return self._requested.rollouts.index(rollout)
+        return self.requested.rollouts.index(rollout)
 
     def alone(self, rollout: RolloutId) -> File:
         """Return one rollout with the request and the metadata that its own file would have.
@@ -141,13 +148,14 @@ class BatchFile(NamedTuple):
         """
         try:
             place = self.place(rollout)
-            request = self._requested.single(place)
+            request = self.requested.single(place)
             return File(self.batch.trajectory(place), request.model_dump(mode="json"), request.metadata)
         except (KeyError, ValueError) as error:
             raise TrajectoryError(f"{rollout} is not in the file of its batch: {error}") from None
 
     @property
-    def _requested(self) -> BatchRequest:
+    def requested(self) -> BatchRequest:
+        """The request."""
         return _parsed(self.request)
 
 
