@@ -29,9 +29,9 @@ from google.protobuf.descriptor import Descriptor
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message import Message
-from google.protobuf.message_factory import GetMessageClass
 from google.protobuf.timestamp_pb2 import Timestamp
 
+from . import pack
 from .visual import Floats, Transform, Visual
 
 Messages = Iterator[tuple[int, bytes]]
@@ -71,7 +71,7 @@ def channels(visual: Visual, rows: Floats, units: Mapping[str, str]) -> tuple[Ch
         *(Channel(topic, VoxelGrid.DESCRIPTOR, _one_message(times[0], grid)) for topic, grid in _solids(scene)),
         Channel("/log", Log.DESCRIPTOR, _log_messages(visual.log)),
         Channel("/tf", FrameTransforms.DESCRIPTOR, _transform_messages(times, visual.transforms)),
-        Channel("/state", state, _state_messages(times, rows, state), units),
+        Channel("/state", state, _state_messages(times, rows), units),
     )
 
 
@@ -98,27 +98,26 @@ def _log_messages(lines: tuple[tuple[float, str], ...]) -> Messages:
 
 def _transform_messages(times: list[int], transforms: tuple[Transform, ...]) -> Messages:
     if not transforms:
-        return
-    message = FrameTransforms()
-    for pose in transforms:
-        message.transforms.add(parent_frame_id=pose.parent, child_frame_id=pose.child)
-    # One message that is filled again and again: new ones cost twice as much.
-    parts = [(each.timestamp, each.translation, each.rotation) for each in message.transforms]
-    moves = [zip(pose.translation.tolist(), pose.rotation.tolist(), strict=True) for pose in transforms]
-    for time, *poses in zip(times, *moves, strict=True):
-        for (stamp, translation, rotation), (position, turn) in zip(parts, poses, strict=True):
-            stamp.seconds, stamp.nanos = divmod(time, 10**9)
-            translation.x, translation.y, translation.z = position
-            rotation.x, rotation.y, rotation.z, rotation.w = turn
-        yield time, _bytes(message)
+        return iter(())
+    stamp = pack.message(1, pack.integers(1, np.array(times) // 10**9), pack.integers(2, np.array(times) % 10**9))
+    found = [
+        pack.message(
+            1,
+            stamp,
+            pack.text(2, pose.parent, len(times)),
+            pack.text(3, pose.child, len(times)),
+            pack.message(4, pack.numbers(pose.translation)),
+            pack.message(5, pack.numbers(pose.rotation)),
+        )
+        for pose in transforms
+    ]
+    return zip(times, pack.rows(*found), strict=True)
 
 
-def _state_messages(times: list[int], rows: Floats, kind: Descriptor) -> Messages:
-    message, names = GetMessageClass(kind)(), [field.name for field in kind.fields]
-    for time, numbers in zip(times, rows.tolist(), strict=True):
-        for name, number in zip(names, numbers, strict=True):
-            setattr(message, name, number)
-        yield time, _bytes(message)
+def _state_messages(times: list[int], rows: Floats) -> Messages:
+    with np.errstate(over="ignore"):  # beyond float32 a number is infinite, as protobuf has it
+        numbers = rows.astype(np.float32)
+    return zip(times, pack.rows(pack.numbers(numbers)), strict=True)
 
 
 @functools.lru_cache
