@@ -135,7 +135,9 @@ class CampaignKeys(CampaignSize):
         " consecutive tests whose starts no rollout decides",
     )
     visual: Literal["all", "none"] = Field(
-        default="all", description="whether trajectory files have a visual part for viewers"
+        default="all",
+        description="whether trajectory files have a visual part for viewers; `perfbound replay --mcap` draws it where "
+        "they have none",
     )
     max_attempts: int = Field(
         default=5,

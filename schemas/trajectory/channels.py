@@ -36,6 +36,7 @@ from .visual import Floats, Transform, Visual
 
 Messages = Iterator[tuple[int, bytes]]
 """Pairs of a time in nanoseconds and a message as bytes."""
+Vector = tuple[float, ...]
 Solid = CubePrimitive | CylinderPrimitive | SpherePrimitive
 
 
@@ -187,9 +188,14 @@ def _box(frame: str, solid: Solid) -> VoxelGrid:
     )
 
 
-def _turned(vector: tuple[float, float, float], turn: Quaternion) -> list[float]:
+def _turned(vector: Vector, turn: Quaternion) -> Vector:
     """Return a vector, turned."""
     axis = (turn.x, turn.y, turn.z)
-    across = 2 * np.cross(axis, vector)
-    turned: list[float] = (vector + turn.w * across + np.cross(axis, across)).tolist()
-    return turned
+    x, y, z = (2 * each for each in _cross(axis, vector))
+    further = _cross(axis, (x, y, z))
+    return tuple(v + turn.w * a + b for v, a, b in zip(vector, (x, y, z), further, strict=True))
+
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    # Not numpy's: a solid would take as long as fifty frames.
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]

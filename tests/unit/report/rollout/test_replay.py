@@ -356,6 +356,14 @@ def test_the_file_shows_a_person_everything(request: Any, directory: str, rollou
     assert data == simulated(found.request.model_copy(update={"visual": True})), "as a campaign with visual parts"
 
 
+def test_a_visual_part_changes_no_trajectory(segway: Path, plain: Path) -> None:
+    for rollout in (NOMINAL, TRUE):
+        one, other = (load_recorded(directory, rollout).trajectory for directory in (segway, plain))
+        assert one is not None
+        assert other is not None
+        assert one.samples.tobytes() == other.samples.tobytes()
+
+
 def test_the_file_shows_what_was_recorded(plain: Path, spoil: Any, tmp_path: Path) -> None:
     spoil(shifted(1e-6))
     with pytest.raises(PerfboundError, match="phi differs"):
