@@ -6,6 +6,7 @@ import os
 import resource
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -205,7 +206,23 @@ def _be_child() -> None:
 def simulate(request: str, out: Path) -> None:
     """Run one rollout without an orchestrator and write its trajectory."""
     _be_child()
-    data = _trajectory_file(request)
+    _write(out, _trajectory_file(request))
+
+
+@group.command()
+@system_option
+@click.option("--file", "path", type=click.Path(dir_okay=False, path_type=Path), required=True, help="MCAP file.")
+@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), required=True, help="MCAP file to write.")
+def visual(path: Path, out: Path) -> None:
+    """Write the file of a rollout with the visual part that its system draws from the trajectory."""
+    _be_child()
+    from ..schemas.trajectory.trajectory import read_canonical  # noqa: PLC0415
+    from .simulate import drawn  # noqa: PLC0415
+
+    _write(out, _or_end(lambda: drawn(read_canonical(path.read_bytes(), visual=False))))
+
+
+def _write(out: Path, data: bytes) -> None:
     try:
         with replacing([out]) as (file,):
             file.write(data)
@@ -250,21 +267,31 @@ def _undeclared(requests: Path) -> tuple[str, ...]:
 
 def _trajectory_file(request: str) -> bytes:
     """Return the file of one rollout, or of one batch; end with one line where there is none."""
-    from pydantic import ValidationError  # noqa: PLC0415
-
     from ..schemas.batch import read_request  # noqa: PLC0415
     from .batch import run_on  # noqa: PLC0415
-    from .faults import NOT_OF_SYSTEMS, fault_text  # noqa: PLC0415
     from .simulate import requested_system  # noqa: PLC0415
 
     try:
-        if request.startswith("@"):
-            request = Path(request[1:]).read_text()
-        with contextlib.redirect_stdout(sys.stderr):  # where a user of the command finds what a function prints
-            asked = read_request(request)
-            return run_on(requested_system(asked), asked, lambda _: None)
+        text = Path(request[1:]).read_text() if request.startswith("@") else request
     except (OSError, UnicodeDecodeError) as error:
         fail(f"--request {request}: {error}")
+
+    def simulated() -> bytes:
+        asked = read_request(text)
+        return run_on(requested_system(asked), asked, lambda _: None)
+
+    return _or_end(simulated)
+
+
+def _or_end(made: Callable[[], bytes]) -> bytes:
+    """Return what the code of a system makes; end with one line where it fails."""
+    from pydantic import ValidationError  # noqa: PLC0415
+
+    from .faults import NOT_OF_SYSTEMS, fault_text  # noqa: PLC0415
+
+    try:
+        with contextlib.redirect_stdout(sys.stderr):  # where a user of the command finds what a function prints
+            return made()
     except ValidationError as error:
         fault = error.errors(include_url=False)[0]
         fail(f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}")

@@ -1,11 +1,12 @@
 """One rollout on this worker: from the request to the bytes of the trajectory's file."""
 
+from ..schemas.base import canonical_json
 from ..schemas.batch import BatchRequest
 from ..schemas.errors import SimulationError
 from ..schemas.rollout import RolloutRequest
 from ..schemas.trajectory.early_end import held, with_end
 from ..schemas.trajectory.input_signal import start_values
-from ..schemas.trajectory.trajectory import Trajectory, encode
+from ..schemas.trajectory.trajectory import File, Trajectory, encode
 from .systems import load_system
 from .systems.base import Progress, SystemUnderTest
 
@@ -46,7 +47,27 @@ def run_request_on(system: SystemUnderTest, request: RolloutRequest, progress: P
         Cancelled: raised by `progress`.
 
     """
-    trajectory = simulated(system, request, progress)
+    return _file(system, request, simulated(system, request, progress))
+
+
+def drawn(file: File) -> bytes:
+    """Return the file of a rollout with the visual part that its system draws from the trajectory.
+
+    Raises:
+        UnknownSystemError: the system is not installed.
+        SimulationError: it is another build than the request expects.
+
+    """
+    request = RolloutRequest.model_validate_json(canonical_json({**file.request, "visual": True}))
+    system, trajectory = requested_system(request), file.trajectory
+    spec = system.spec
+    # As in `simulated`: the system draws its own columns.
+    own = Trajectory(spec.own_columns, trajectory.samples[:, : len(spec.own_columns)])
+    visual = system.visual(own)
+    return _file(system, request, trajectory if visual is None else trajectory.showing(visual))
+
+
+def _file(system: SystemUnderTest, request: RolloutRequest, trajectory: Trajectory) -> bytes:
     units = {column.name: column.unit for column in system.spec.columns}
     return encode(trajectory, request=request.model_dump(mode="json"), metadata=request.metadata, units=units)
 

@@ -142,7 +142,9 @@ class CampaignKeys(CampaignSize):
         "start, seed, digest and robustness are left, and `verify --resimulate` repeats them",
     )
     visual: Literal["all", "none"] = Field(
-        default="all", description="whether trajectory files have a visual part for viewers"
+        default="all",
+        description="whether trajectory files have a visual part for viewers; `perfbound replay --mcap` draws it where "
+        "they have none",
     )
     max_attempts: int = Field(
         default=5,

@@ -147,7 +147,7 @@ class BatchFile(NamedTuple, Generic[Content]):
 
     def place(self, rollout: RolloutId) -> int:
         """Return the place of a rollout in the batch; raises ValueError if it is not there."""
-        return self._requested.rollouts.index(rollout)
+        return self.requested.rollouts.index(rollout)
 
     def alone(self, rollout: RolloutId) -> File:
         """Return one rollout with the request and the metadata that its own file would have.
@@ -158,13 +158,14 @@ class BatchFile(NamedTuple, Generic[Content]):
         """
         try:
             place = self.place(rollout)
-            request = self._requested.single(place)
+            request = self.requested.single(place)
             return File(self.batch.trajectory(place), request.model_dump(mode="json"), request.metadata)
         except (KeyError, ValueError) as error:
             raise TrajectoryError(f"{rollout} is not in the file of its batch: {error.args[0]}") from None
 
     @property
-    def _requested(self) -> BatchRequest:
+    def requested(self) -> BatchRequest:
+        """The request."""
         return _parsed(self.request)
 
 

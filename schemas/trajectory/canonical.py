@@ -13,7 +13,7 @@ The form is the same whatever campaign the rollout belongs to.
 
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache
@@ -24,7 +24,7 @@ from ..errors import TrajectoryError
 class Opcode(IntEnum):
     """The kinds of records, as the specification of MCAP numbers them."""
 
-    HEADER, FOOTER, SCHEMA, CHANNEL = 1, 2, 3, 4
+    HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE = 1, 2, 3, 4, 5
     CHUNK, MESSAGE_INDEX, CHUNK_INDEX = 6, 7, 8
     ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX = 9, 10, 11, 12, 13
     SUMMARY_OFFSET, DATA_END = 14, 15
@@ -63,7 +63,7 @@ OF_REDUCED = Layout(
 
 _RECORD = struct.Struct("<BQ")  # opcode, length of the content
 _LENGTH, _SIZE = struct.Struct("<I"), struct.Struct("<Q")
-_DATA_END = struct.Struct("<BQI")
+DATA_END = struct.Struct("<BQI")
 _FOOTER = struct.Struct("<BQQQI")
 _VISUAL = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.CHUNK, Opcode.MESSAGE_INDEX})
 _INDEXES = frozenset({Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX})
@@ -78,8 +78,8 @@ def evidence_of(
     layout: Layout, metadata: Mapping[str, str], attachments: Mapping[str, bytes]
 ) -> tuple[list[bytes], tuple[bytes, ...]]:
     """Return the parts of a file with this evidence, up to the end of its data, and what its summary lists of them."""
-    pairs = b"".join(_packed_text(key) + _packed_text(value) for key, value in sorted(metadata.items()))
-    record = _packed(Opcode.METADATA, _packed_text(layout.record) + _LENGTH.pack(len(pairs)) + pairs)
+    pairs = b"".join(packed_text(key) + packed_text(value) for key, value in sorted(metadata.items()))
+    record = packed(Opcode.METADATA, packed_text(layout.record) + _LENGTH.pack(len(pairs)) + pairs)
     parts, indexes, at = [_HEAD, record], list[bytes](), len(_HEAD) + len(record)
     for name, media_type in layout.media_types:
         if name not in attachments:
@@ -100,8 +100,8 @@ def canonical_file(layout: Layout, metadata: Mapping[str, str], attachments: Map
     crc = 0
     for part in parts:
         crc = zlib.crc32(part, crc)
-    summary = sum(map(len, parts)) + _DATA_END.size
-    return b"".join([*parts, _DATA_END.pack(Opcode.DATA_END, 4, crc), _plain_end(summary, indexes)])
+    summary = sum(map(len, parts)) + DATA_END.size
+    return b"".join([*parts, DATA_END.pack(Opcode.DATA_END, 4, crc), _plain_end(summary, indexes)])
 
 
 def is_of(layout: Layout, data: bytes) -> bool:
@@ -140,17 +140,17 @@ def canonical_evidence(data: bytes, layout: Layout, *, visual: bool) -> Evidence
 
 
 def _metadata_index(layout: Layout, length: int) -> bytes:
-    return _packed(Opcode.METADATA_INDEX, struct.pack("<QQ", len(_HEAD), length) + _packed_text(layout.record))
+    return packed(Opcode.METADATA_INDEX, struct.pack("<QQ", len(_HEAD), length) + packed_text(layout.record))
 
 
 def _attachment_index(name: str, media_type: str, start: int, length: int, size: int) -> bytes:
     place = struct.pack("<QQQQQ", start, length, 0, 0, size)
-    return _packed(Opcode.ATTACHMENT_INDEX, place + _packed_text(name) + _packed_text(media_type))
+    return packed(Opcode.ATTACHMENT_INDEX, place + packed_text(name) + packed_text(media_type))
 
 
 def _attachment_head(name: str, media_type: str, size: int) -> bytes:
     """Return the bytes of an attachment's record before its content of `size` bytes."""
-    head = bytes(16) + _packed_text(name) + _packed_text(media_type) + _SIZE.pack(size)  # no times
+    head = bytes(16) + packed_text(name) + packed_text(media_type) + _SIZE.pack(size)  # no times
     return _RECORD.pack(Opcode.ATTACHMENT, len(head) + size + _LENGTH.size) + head
 
 
@@ -194,7 +194,7 @@ def _check_rest(data: bytes, start: int, indexes: list[bytes], *, visual: bool) 
     """Check everything behind the evidence, which `indexes` list in the summary."""
     footer = len(data) - len(MAGIC) - _FOOTER.size
     summary = _FOOTER.unpack_from(data, footer)[2]
-    end = summary - _DATA_END.size
+    end = summary - DATA_END.size
     if end == start and data[summary:] == _plain_end(summary, tuple(indexes)):
         return
     if not visual:
@@ -225,31 +225,49 @@ def _framed(data: bytes, start: int, end: int) -> Iterator[tuple[int, bytes]]:
 @lru_cache(maxsize=64)  # the sizes of the files of a campaign differ little
 def _plain_end(summary: int, indexes: tuple[bytes, ...]) -> bytes:
     """Return everything after the data of a file without a visual part."""
-    # messages, schemas, channels, attachments, metadata, chunks, first and last time, messages by channel
     *attachments, metadata = indexes
-    statistics = _packed(Opcode.STATISTICS, struct.pack("<QHIIIIQQI", 0, 0, 0, len(attachments), 1, 0, 0, 0, 0))
     groups = {
         Opcode.SCHEMA: b"",
         Opcode.CHANNEL: b"",
-        Opcode.STATISTICS: statistics,
+        Opcode.STATISTICS: statistics((0, 0, len(attachments), 0), (), {}),
         Opcode.CHUNK_INDEX: b"",
         Opcode.ATTACHMENT_INDEX: b"".join(attachments),
         Opcode.METADATA_INDEX: metadata,
     }
-    start, offsets = summary, b""
+    return summary_of(summary, groups)
+
+
+def statistics(numbers: tuple[int, int, int, int], times: Sequence[int], counts: Mapping[int, int]) -> bytes:
+    """Return the record that counts the others.
+
+    `numbers` are those of types, channels, attachments and chunks; `times` those of messages; `counts` the numbers of
+    messages by channel.
+    """
+    kinds, channels, attachments, chunks = numbers
+    first, last = (min(times), max(times)) if times else (0, 0)
+    each = b"".join(struct.pack("<HQ", *pair) for pair in counts.items())
+    totals = sum(counts.values()), kinds, channels, attachments, 1, chunks, first, last, len(each)
+    return packed(Opcode.STATISTICS, struct.pack("<QHIIIIQQI", *totals) + each)
+
+
+def summary_of(start: int, groups: Mapping[Opcode, bytes], *, offsets: bool = True) -> bytes:
+    """Return the end of a file from `start` on: these records, with `offsets` the places of the groups, the footer."""
+    at, places = start, b""
     for opcode, group in groups.items():
-        offsets += _packed(Opcode.SUMMARY_OFFSET, struct.pack("<BQQ", opcode, start, len(group)))
-        start += len(group)
-    content = b"".join(groups.values()) + offsets
-    content += _FOOTER.pack(Opcode.FOOTER, 20, summary, start, 0)[:-4]
+        places += packed(Opcode.SUMMARY_OFFSET, struct.pack("<BQQ", opcode, at, len(group)))
+        at += len(group)
+    content = b"".join(groups.values()) + (places if offsets else b"")
+    content += _FOOTER.pack(Opcode.FOOTER, 20, start, at if offsets else 0, 0)[:-4]
     return content + struct.pack("<I", zlib.crc32(content)) + MAGIC
 
 
-def _packed(opcode: int, content: bytes) -> bytes:
+def packed(opcode: int, content: bytes) -> bytes:
+    """Return a record."""
     return _RECORD.pack(opcode, len(content)) + content
 
 
-def _packed_text(text: str) -> bytes:
+def packed_text(text: str) -> bytes:
+    """Return a text in a record."""
     data = text.encode()
     return struct.pack("<I", len(data)) + data
 
@@ -262,4 +280,4 @@ def _read_text(data: bytes, at: int) -> tuple[str, int]:
     return data[at + _LENGTH.size : after].decode(), after
 
 
-_HEAD = MAGIC + _packed(Opcode.HEADER, _packed_text("") + _packed_text(LIBRARY))
+_HEAD = MAGIC + packed(Opcode.HEADER, packed_text("") + packed_text(LIBRARY))

@@ -29,13 +29,14 @@ from google.protobuf.descriptor import Descriptor
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message import Message
-from google.protobuf.message_factory import GetMessageClass
 from google.protobuf.timestamp_pb2 import Timestamp
 
+from . import pack
 from .visual import Floats, Transform, Visual
 
 Messages = Iterator[tuple[int, bytes]]
 """Pairs of a time in nanoseconds and a message as bytes."""
+Vector = tuple[float, ...]
 Solid = CubePrimitive | CylinderPrimitive | SpherePrimitive
 
 
@@ -71,7 +72,7 @@ def channels(visual: Visual, rows: Floats, units: Mapping[str, str]) -> tuple[Ch
         *(Channel(topic, VoxelGrid.DESCRIPTOR, _one_message(times[0], grid)) for topic, grid in _solids(scene)),
         Channel("/log", Log.DESCRIPTOR, _log_messages(visual.log)),
         Channel("/tf", FrameTransforms.DESCRIPTOR, _transform_messages(times, visual.transforms)),
-        Channel("/state", state, _state_messages(times, rows, state), units),
+        Channel("/state", state, _state_messages(times, rows), units),
     )
 
 
@@ -98,27 +99,26 @@ def _log_messages(lines: tuple[tuple[float, str], ...]) -> Messages:
 
 def _transform_messages(times: list[int], transforms: tuple[Transform, ...]) -> Messages:
     if not transforms:
-        return
-    message = FrameTransforms()
-    for pose in transforms:
-        message.transforms.add(parent_frame_id=pose.parent, child_frame_id=pose.child)
-    # One message that is filled again and again: new ones cost twice as much.
-    parts = [(each.timestamp, each.translation, each.rotation) for each in message.transforms]
-    moves = [zip(pose.translation.tolist(), pose.rotation.tolist(), strict=True) for pose in transforms]
-    for time, *poses in zip(times, *moves, strict=True):
-        for (stamp, translation, rotation), (position, turn) in zip(parts, poses, strict=True):
-            stamp.seconds, stamp.nanos = divmod(time, 10**9)
-            translation.x, translation.y, translation.z = position
-            rotation.x, rotation.y, rotation.z, rotation.w = turn
-        yield time, _bytes(message)
+        return iter(())
+    stamp = pack.message(1, pack.integers(1, np.array(times) // 10**9), pack.integers(2, np.array(times) % 10**9))
+    found = [
+        pack.message(
+            1,
+            stamp,
+            pack.text(2, pose.parent, len(times)),
+            pack.text(3, pose.child, len(times)),
+            pack.message(4, pack.numbers(pose.translation)),
+            pack.message(5, pack.numbers(pose.rotation)),
+        )
+        for pose in transforms
+    ]
+    return zip(times, pack.rows(*found), strict=True)
 
 
-def _state_messages(times: list[int], rows: Floats, kind: Descriptor) -> Messages:
-    message, names = GetMessageClass(kind)(), [field.name for field in kind.fields]
-    for time, numbers in zip(times, rows.tolist(), strict=True):
-        for name, number in zip(names, numbers, strict=True):
-            setattr(message, name, number)
-        yield time, _bytes(message)
+def _state_messages(times: list[int], rows: Floats) -> Messages:
+    with np.errstate(over="ignore"):  # beyond float32 a number is infinite, as protobuf has it
+        numbers = rows.astype(np.float32)
+    return zip(times, pack.rows(pack.numbers(numbers)), strict=True)
 
 
 @functools.lru_cache
@@ -188,9 +188,14 @@ def _box(frame: str, solid: Solid) -> VoxelGrid:
     )
 
 
-def _turned(vector: tuple[float, float, float], turn: Quaternion) -> list[float]:
+def _turned(vector: Vector, turn: Quaternion) -> Vector:
     """Return a vector, turned."""
     axis = (turn.x, turn.y, turn.z)
-    across = 2 * np.cross(axis, vector)
-    turned: list[float] = (vector + turn.w * across + np.cross(axis, across)).tolist()
-    return turned
+    x, y, z = (2 * each for each in _cross(axis, vector))
+    further = _cross(axis, (x, y, z))
+    return tuple(v + turn.w * a + b for v, a, b in zip(vector, (x, y, z), further, strict=True))
+
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    # Not numpy's: a solid would take as long as fifty frames.
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]

@@ -1,4 +1,4 @@
-"""The trajectory and its file: the only importer of mcap.
+"""The trajectory and its file.
 
 A file contains the evidence (attachment `trajectory.npy`, attachment `request.json`, one metadata record) and, if the
 trajectory has a `Visual`, a visual part: at 30 Hz (channels /tf, /scene, /solids, /state and /log), or one channel
@@ -17,21 +17,17 @@ import io
 import itertools
 import json
 import struct
-import threading
-import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
-import zstandard
-from mcap.data_stream import RecordBuilder
 from mcap.exceptions import McapError
-from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, ChunkIndex, DataEnd, McapRecord, Metadata, Schema, Statistics
+from mcap.records import Attachment, DataEnd, McapRecord, Metadata
+from mcap.records import Chunk as ReadChunk
 from mcap.stream_reader import StreamReader
-from mcap.writer import Writer
 from numpy.typing import NDArray
 
 from ..base import canonical_json
@@ -41,16 +37,14 @@ from ..real_numbers import real_array
 from . import plots
 from .canonical import (
     EVIDENCE,
-    LIBRARY,
-    MAGIC,
     OF_ROLLOUT,
-    RECORD,
     REQUEST,
     Evidence,
     canonical_evidence,
     canonical_file,
     evidence_of,
 )
+from .chunks import Chunk, channel_record, chunked, seen_file, type_record
 from .file_checks import check_checksums, check_length, check_sizes
 from .npy import from_npy, to_npy
 from .visual import Floats, Transform, Visual
@@ -69,14 +63,10 @@ __all__ = [
 ]
 
 FRAME_RATE = 30  # 1/s
-CHUNK_BYTES = 65536
 PLOT_LEVEL = -1  # of zstd: two thirds of the time of its default, and here 7 % smaller
 
 MALFORMED = (McapError, ValueError, KeyError, struct.error, OverflowError, RecursionError, MemoryError)
 """What the readers raise for bytes that are no file."""
-
-_DATA_END = struct.Struct("<BQI")  # opcode, length, crc of everything before
-_FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, of its offsets, crc of the summary
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,17 +165,11 @@ def encode(
     attachments = {REQUEST: canonical_json(dict(request)).encode(), EVIDENCE: to_npy(trajectory.samples)}
     if visual is None:
         return canonical_file(OF_ROLLOUT, record, attachments)
+    evidence = evidence_of(OF_ROLLOUT, record, attachments)
     if visual.plots:
-        return _plotted(*evidence_of(OF_ROLLOUT, record, attachments), trajectory, units)
-    out = io.BytesIO()
-    writer = Writer(out, chunk_size=CHUNK_BYTES, enable_data_crcs=True)
-    writer.start(profile="", library=LIBRARY)
-    writer.add_metadata(RECORD, dict(sorted(record.items())))
-    for name, media_type in OF_ROLLOUT.media_types:
-        writer.add_attachment(0, 0, name, media_type, attachments[name])
-    _write_visual(writer, trajectory, visual, units)
-    writer.finish()  # type: ignore[no-untyped-call]
-    return out.getvalue()
+        definitions, found = _plotted(trajectory, units)
+        return seen_file(*evidence, definitions, [found], level=PLOT_LEVEL, offsets=False)
+    return seen_file(*evidence, *_drawn(trajectory, visual, units))
 
 
 def decode(data: bytes) -> Trajectory:
@@ -279,7 +263,7 @@ def _evidence_records(data: bytes) -> Evidence:
     """Return the metadata record and both attachments, which precede the chunks of the visual part."""
     # Not `validate_crcs`: every byte has been checked, and this reader would add up its checksum read by read.
     reader = StreamReader(io.BytesIO(data), emit_chunks=True, record_size_limit=len(data))
-    first = itertools.takewhile(lambda record: not isinstance(record, Chunk | DataEnd), reader.records)
+    first = itertools.takewhile(lambda record: not isinstance(record, ReadChunk | DataEnd), reader.records)
     records: list[McapRecord] = list(first)
     metadata = [record.metadata for record in records if isinstance(record, Metadata)]
     attachments = [record for record in records if isinstance(record, Attachment)]
@@ -291,97 +275,37 @@ def _evidence_records(data: bytes) -> Evidence:
     return metadata[0], {record.name: record.data for record in attachments}
 
 
-def _write_visual(writer: Writer, trajectory: Trajectory, visual: Visual, units: Mapping[str, str]) -> None:
+def _drawn(trajectory: Trajectory, visual: Visual, units: Mapping[str, str]) -> tuple[Sequence[bytes], Iterable[Chunk]]:
+    """Return the types and channels of a visual part with a scene, and its chunks."""
     from .channels import channels  # noqa: PLC0415  (the types of foxglove, which few workers need)
 
     shown = {name: units[name] for name in trajectory.columns}
-    schemas: dict[str, int] = {}
+    kinds: dict[str, int] = {}
+    definitions: list[bytes] = []
     messages: list[tuple[int, int, bytes]] = []
-    for each in channels(visual, trajectory.samples[trajectory.frames], shown):
-        if each.kind.full_name not in schemas:
-            schemas[each.kind.full_name] = writer.register_schema(each.kind.full_name, "protobuf", each.definition)
-        channel = writer.register_channel(each.topic, "protobuf", schemas[each.kind.full_name], dict(each.metadata))
-        messages += [(time, channel, data) for time, data in each.messages]
-    messages.sort(key=lambda message: message[:2])
-    for time, channel, data in messages:
-        writer.add_message(channel, time, data, time)
+    for number, each in enumerate(channels(visual, trajectory.samples[trajectory.frames], shown), start=1):
+        name = each.kind.full_name
+        if name not in kinds:
+            kinds[name] = len(kinds) + 1
+            definitions.append(type_record(kinds[name], name, "protobuf", each.definition))
+        definitions.append(channel_record(number, kinds[name], each.topic, "protobuf", each.metadata))
+        messages += ((time, number, data) for time, data in each.messages)
+    messages.sort(key=itemgetter(0, 1))
+    return definitions, chunked(definitions, messages)
 
 
-def _plotted(
-    parts: Sequence[bytes], listed: Sequence[bytes], trajectory: Trajectory, units: Mapping[str, str]
-) -> bytes:
-    """Return a file of the evidence in `parts` with a channel for each column: one chunk, and a summary that has it.
-
-    `listed` is what the summary has of the evidence.
-    """
-    evidence, indexes = b"".join(parts), b"".join(listed)
+def _plotted(trajectory: Trajectory, units: Mapping[str, str]) -> tuple[Sequence[bytes], Chunk]:
+    """Return the types and channels of a visual part with a channel for each column, and its one chunk."""
     names = plots.shown(trajectory.columns)
-    channels = _plot_channels(tuple((name, units[name]) for name in names))
-    found = plots.messages(trajectory.samples, len(channels))
-    content = channels + found.records
-    packed = _zstd().compress(content)
-    chunk = _records(
-        Chunk(
-            compression="zstd",
-            data=packed,
-            message_start_time=found.first,
-            message_end_time=found.last,
-            uncompressed_crc=zlib.crc32(content),
-            uncompressed_size=len(content),
-        )
-    )
-    start = len(evidence) + len(chunk)
-    places = {1 + k: start + k * len(index) for k, index in enumerate(found.indexes)}
-    statistics = Statistics(
-        attachment_count=2,
-        channel_count=len(names),
-        channel_message_counts=dict.fromkeys(places, found.each),
-        chunk_count=1,
-        message_count=found.each * len(names),
-        message_start_time=found.first,
-        message_end_time=found.last,
-        metadata_count=1,
-        schema_count=1,
-    )
-    index = ChunkIndex(
-        chunk_length=len(chunk),
-        chunk_start_offset=len(evidence),
-        compression="zstd",
-        compressed_size=len(packed),
-        message_start_time=found.first,
-        message_end_time=found.last,
-        message_index_length=sum(map(len, found.indexes)),
-        message_index_offsets=places,
-        uncompressed_size=len(content),
-    )
-    data = b"".join([evidence, chunk, *found.indexes])
-    data += _DATA_END.pack(Opcode.DATA_END, 4, zlib.crc32(data))
-    end = channels + _records(statistics, index) + indexes + _FOOTER.pack(Opcode.FOOTER, 20, len(data), 0, 0)[:-4]
-    return data + end + zlib.crc32(end).to_bytes(4, "little") + MAGIC
-
-
-def _zstd() -> zstandard.ZstdCompressor:
-    # One for each thread, of which none may use that of another: making one takes as long as its work here.
-    if not hasattr(_of_thread, "zstd"):
-        _of_thread.zstd = zstandard.ZstdCompressor(level=PLOT_LEVEL)
-    found: zstandard.ZstdCompressor = _of_thread.zstd
-    return found
-
-
-_of_thread = threading.local()
+    definitions = _plot_channels(tuple((name, units[name]) for name in names))
+    head = b"".join(definitions)
+    found = plots.messages(trajectory.samples, len(head))
+    return definitions, Chunk(head + found.records, found.first, found.last, dict(enumerate(found.indexes, start=1)))
 
 
 @lru_cache(maxsize=64)
-def _plot_channels(units: tuple[tuple[str, str], ...]) -> bytes:
+def _plot_channels(units: tuple[tuple[str, str], ...]) -> tuple[bytes, ...]:
     """Return the records of the message type and of the channels, for columns with their units."""
-    kind = Schema(id=1, name=plots.MESSAGE, encoding=plots.SCHEMA_ENCODING, data=plots.DEFINITION)
+    kind = type_record(1, plots.MESSAGE, plots.SCHEMA_ENCODING, plots.DEFINITION)
     numbered = enumerate(units, start=1)
-    return _records(kind, *(Channel(k, f"/{name}", plots.ENCODING, {"unit": unit}, 1) for k, (name, unit) in numbered))
-
-
-def _records(*records: Schema | Channel | Chunk | Statistics | ChunkIndex) -> bytes:
-    out = RecordBuilder()
-    for record in records:
-        record.write(out)
-    found: bytes = out.end()  # type: ignore[no-untyped-call]
-    return found
+    return kind, *(channel_record(k, 1, f"/{name}", plots.ENCODING, {"unit": unit}) for k, (name, unit) in numbered)

@@ -1,4 +1,4 @@
-"""The commands `simulate` and `systems`: arguments parsed, a child of `workers` run, its answer as lines of text."""
+"""Single rollouts, batches and visual parts from a child of `workers`; the commands `simulate` and `systems`."""
 
 import math
 import time
@@ -14,7 +14,7 @@ from ....schemas.ids import RolloutId
 from ....schemas.number_text import number_in
 from ....schemas.rollout import RequestTemplate, RolloutRequest
 from ....schemas.system import OptionValue, SystemSpec, Variant
-from ....schemas.trajectory.trajectory import Trajectory
+from ....schemas.trajectory.trajectory import Trajectory, encode
 from .child import HangError, ask, installed_systems, named_campaign, system_options, system_spec
 
 LIMIT: float = CampaignConfig.model_fields["deadline"].default
@@ -112,6 +112,32 @@ def simulate_to(
         raise Stopped(stop.signal, f"{words} was ended after {seconds:.1f} s, nothing was written") from None
     finally:
         given.unlink(missing_ok=True)
+
+
+def draw_to(
+    path: Path,
+    trajectory: Trajectory,
+    request: RolloutRequest,
+    spec: SystemSpec,
+    system: str | None,
+    *,
+    limit: float = LIMIT,
+) -> None:
+    """Write the file of a trajectory that `request` gave, with the visual part that its system draws in a child.
+
+    Raises:
+        PerfboundError: it cannot be drawn.
+
+    """
+    units = {column.name: column.unit for column in spec.columns}
+    given = path.with_name(f"{path.name}.given")
+    given.write_bytes(
+        encode(trajectory, request=request.model_dump(mode="json"), metadata=request.metadata, units=units)
+    )
+    try:
+        ask("visual", "--file", str(given), "--out", str(path), *system_options(system), limit=limit)
+    except PerfboundError as fault:
+        raise _other_build(request, spec, system) or fault from None
 
 
 def _name_of(request: RolloutRequest | BatchRequest) -> str:

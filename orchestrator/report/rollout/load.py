@@ -1,11 +1,12 @@
 """A recorded rollout: its fact, its file, and its request."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import sqlalchemy as sa
 from sqlalchemy import Connection
 
+from ....schemas.batch import BatchRequest
 from ....schemas.errors import EvidenceError, PerfboundError
 from ....schemas.ids import RolloutId
 from ....schemas.result.facts import Header, RolloutFact
@@ -14,7 +15,7 @@ from ....schemas.trajectory.trajectory import Trajectory
 from ...store import tables
 from ...store.changes import proposal_in, rollouts_in
 from ...store.read import read_header, reading
-from .of_tests import read_recorded
+from .of_tests import read_batch_of, read_recorded
 
 _rollouts = tables.rollouts.c
 
@@ -28,6 +29,8 @@ class RecordedRollout:
     request: RolloutRequest
     trajectory: Trajectory | None
     damage: str = ""
+    batch: BatchRequest | None = None
+    """Of a rollout that depends on the others of its batch: only the batch as a whole can be simulated again."""
 
 
 def load_recorded(directory: Path, text: str) -> RecordedRollout:
@@ -42,19 +45,24 @@ def load_recorded(directory: Path, text: str) -> RecordedRollout:
     with reading(directory) as connection:
         header = read_header(connection, directory)
         fact, x = _find(connection, header, directory, text)
+    # The file of a batch has no visual part, whatever the campaign asks for.
+    template = replace(header.template, visual=False) if fact.batch else header.template
     # The recorded seed, for a recheck has that of the rollout it repeats; `verify` shows whether it is the right one.
-    request = header.template.request(fact.rollout, x, fact.seed)
+    request = template.request(fact.rollout, x, fact.seed)
+    whole = fact.batch and header.spec.batch_is_the_unit
     try:
         file = read_recorded(directory, fact)
     except EvidenceError as error:  # a replay can restore a damaged file
-        return RecordedRollout(header, fact, request, None, str(error))
+        batch = read_batch_of(directory, fact).requested if whole and not fact.kept else None
+        return RecordedRollout(header, fact, request, None, str(error), batch)
     # The digest proves that this is the recorded file, not that its worker simulated this request.
     if file.request != request.model_dump(mode="json"):
         raise EvidenceError(
             f"{directory / fact.path}: it belongs to another request than the one that follows from the facts; "
             "check the campaign with `perfbound verify`"
         )
-    return RecordedRollout(header, fact, request, file.trajectory)
+    batch = read_batch_of(directory, fact).requested if whole else None
+    return RecordedRollout(header, fact, request, file.trajectory, batch=batch)
 
 
 def _find(connection: Connection, header: Header, directory: Path, text: str) -> tuple[RolloutFact, tuple[float, ...]]:

@@ -112,10 +112,15 @@ def read_recorded(directory: Path, fact: RolloutFact) -> File:
         raise EvidenceError(f"rollout {fact.rollout}: its samples were not kept (key `keep`)")
     try:
         if fact.batch:
-            return _batch_file(directory, fact.path, fact.batch).alone(fact.rollout)
+            return read_batch_of(directory, fact).alone(fact.rollout)
         return read_mcap(files.read_evidence(directory, fact.path, fact.sha256))
     except TrajectoryError as error:
         raise EvidenceError(f"{directory / fact.path}: {error}; restore it from a copy") from None
+
+
+def read_batch_of(directory: Path, fact: RolloutFact) -> BatchFile[Batch] | BatchFile[Reduced]:
+    """Return the file of the batch that a recorded rollout belongs to; raises as its reader, or EvidenceError."""
+    return _batch_file(directory, fact.path, fact.batch)
 
 
 @lru_cache(maxsize=2)

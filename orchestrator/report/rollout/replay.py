@@ -9,8 +9,9 @@ import numpy as np
 
 from ....schemas import atomic
 from ....schemas.errors import PerfboundError, TrajectoryError
+from ....schemas.trajectory.batch import digest_of, read_batch
 from ....schemas.trajectory.trajectory import Floats, Trajectory, decode
-from ...fleet.children.simulate import simulate_to
+from ...fleet.children.simulate import draw_to, simulate_to
 from ...mathematics.stl.over_time import robustness_signal
 from ...mathematics.stl.tree import Formula
 from . import curves
@@ -23,8 +24,8 @@ def replay_rollout(
 ) -> Iterator[str]:
     """Simulate a rollout of the campaign in `directory` again, and yield the result as lines of text.
 
-    Writes its picture to `out` and its file, with the visual part, to `mcap`. `system` is FILE.py:NAME, for a system in
-    a file.
+    Writes its picture to `out`. Writes the recorded trajectory, or the new one where its file is damaged, with its
+    visual part to `mcap`. `system` is FILE.py:NAME, for a system in a file.
 
     Raises:
         PerfboundError: there is no such rollout, the system is missing or of another version, or the new trajectory
@@ -42,21 +43,20 @@ def replay_rollout(
     yield _title_line(found)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "again.mcap"
-        data = _resimulated(found, path, system, visual=True)
-        try:
-            again = decode(data)
-        except TrajectoryError as error:
-            raise PerfboundError(f"the system returned no trajectory: {error}; fix the system") from None
+        again, digest = _resimulated(found, path, system)
         if found.trajectory is None:
             yield found.damage
-            fault = _digest_fault(found, data, Path(folder), system)
-            yield fault or "simulated again, the file is bitwise the same as the recorded one"
+            fault = _digest_fault(found, digest)
+            what = "trajectory" if found.fact.batch else "file"
+            yield fault or f"simulated again, the {what} is bitwise the same as the recorded one"
         else:
             deviation = compare(again, found.trajectory)
             yield from lines(deviation, {column.name: column.unit for column in found.header.spec.columns})
             fault = _fault(found, deviation)
         if mcap is not None:
-            atomic.write_whole(mcap.absolute(), data)
+            drawn = found.trajectory or again
+            draw_to(path, drawn, found.request, found.header.spec, system, limit=found.header.config.deadline)
+            atomic.write_whole(mcap.absolute(), path.read_bytes())
             yield f"file: {mcap}"
         if out is not None:
             atomic.write_whole(out.absolute(), _picture(found, again))
@@ -65,11 +65,16 @@ def replay_rollout(
         raise PerfboundError(f"{found.fact.rollout}: {fault}")
 
 
-def _resimulated(found: RecordedRollout, path: Path, system: str | None, *, visual: bool) -> bytes:
-    """Simulate a rollout again and return its file, which is also at `path`."""
-    request = found.request.model_copy(update={"visual": visual})
-    simulate_to(path, request, found.header.spec, system, limit=found.header.config.deadline)
-    return path.read_bytes()
+def _resimulated(found: RecordedRollout, path: Path, system: str | None) -> tuple[Trajectory, str]:
+    """Simulate a rollout again and return its trajectory, and the digest that a fact has of it."""
+    spec, request = found.header.spec, found.batch or found.request
+    simulate_to(path, request, spec, system, limit=found.header.config.deadline)
+    data = path.read_bytes()
+    try:
+        again = decode(data) if found.batch is None else read_batch(data).alone(found.fact.rollout).trajectory
+    except TrajectoryError as error:
+        raise PerfboundError(f"the system returned no trajectory: {error}; fix the system") from None
+    return again, digest_of(again).hex() if found.fact.batch else hashlib.sha256(data).hexdigest()
 
 
 def _title_line(found: RecordedRollout) -> str:
@@ -83,14 +88,12 @@ def _title_line(found: RecordedRollout) -> str:
     return f"{found.fact.rollout}: {spec.name}, {request.variant}, {start}, seed {request.seed}{score}"
 
 
-def _digest_fault(found: RecordedRollout, data: bytes, folder: Path, system: str | None) -> str:
-    """Return the fault of a file that replaces a damaged one; empty if it is the same file."""
-    if not found.request.visual:  # the recorded file had no visual part, so it has other bytes than `data`
-        data = _resimulated(found, folder / "exact.mcap", system, visual=False)
-    digest = hashlib.sha256(data).hexdigest()
+def _digest_fault(found: RecordedRollout, digest: str) -> str:
+    """Return the fault of a rollout whose file is damaged, once it is simulated again; empty if it is the same one."""
     if digest == found.fact.sha256:
         return ""
-    return f"simulated again, the file has the sha256 {digest[:12]}..., not the recorded {found.fact.sha256[:12]}..."
+    what = "trajectory" if found.fact.batch else "file"
+    return f"simulated again, the {what} has the sha256 {digest[:12]}..., not the recorded {found.fact.sha256[:12]}..."
 
 
 def _fault(found: RecordedRollout, deviation: Deviation) -> str:

@@ -1,7 +1,11 @@
 """Batches with real workers: the same bytes for any number of them and after kill -9, and a check that repeats some."""
 
 import random
+import re
+import shlex
 from pathlib import Path
+
+import pytest
 
 from tests.end_to_end.processes import Processes, query, wait_for
 
@@ -67,3 +71,24 @@ def test_workers_and_kills_change_no_byte(started: Processes, tmp_path: Path) ->
     checked = started.run("perfbound", "verify", "calm", "--resimulate", "40", "--system", tmp_path / "drift.py:drift")
     assert checked.code == 0, checked.out + checked.err
     assert "VERIFIED" in checked.out
+
+
+UNIT = SYSTEM.replace("vectorised", "batch_is_the_unit=True, vectorised").replace("return a", "return len(a) + a")
+
+
+@pytest.mark.parametrize("system", [SYSTEM, UNIT], ids=["alone", "as a batch"])
+def test_a_rollout_of_a_batch_is_replayed(started: Processes, tmp_path: Path, system: str) -> None:
+    campaign = write(tmp_path)
+    (tmp_path / "drift.py").write_text(system)
+    text = campaign.read_text().replace("6000", "100").replace("x > -0.2", "x > 0.2")
+    campaign.write_text("recheck = 0\n" + text.replace("batch = 32", "batch = 16"))
+    assert started.run("perfbound", "run", campaign, "--out", "run", "--workers", "1").code == 0
+    for rollout in ("robustness.0.nominal.0", "robustness.37.nominal.0", "robustness.99.nominal.0"):
+        system_file = tmp_path / "drift.py:drift"
+        ended = started.run("perfbound", "replay", "run", rollout, "--mcap", "a.mcap", "--system", system_file)
+        assert (ended.code, ended.err) == (0, "")
+        assert ended.out.splitlines()[1:] == ["bitwise the same as the recorded trajectory", "file: a.mcap"]
+    if system == SYSTEM:
+        found = re.search(r"Repeat the worst: (perfbound replay .*)", started.run("perfbound", "status", "run").out)
+        assert found is not None
+        assert started.run(*shlex.split(found[1])).code == 0

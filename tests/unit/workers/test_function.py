@@ -17,9 +17,9 @@ from perfbound.schemas.file.signals import SignalShape
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.rollout import RequestTemplate
 from perfbound.schemas.system import ASSUMED_HORIZON
-from perfbound.schemas.trajectory.trajectory import read_mcap
-from perfbound.workers import systems
-from perfbound.workers.simulate import run_request_on
+from perfbound.schemas.trajectory.trajectory import read_canonical, read_mcap
+from perfbound.workers import simulate, systems
+from perfbound.workers.simulate import drawn, run_request_on
 from perfbound.workers.systems.decorator import system
 from perfbound.workers.systems.files import MODULE, load_file
 from perfbound.workers.systems.function import FunctionSystem
@@ -257,6 +257,17 @@ def test_the_file_of_a_function_plots_its_columns_unless_that_is_switched_off() 
         for data in [run_request_on(found, request.model_copy(update={"visual": visual}), lambda _: None)]
     }
     assert topics == {True: {"/a", "/b"}, False: set()}
+
+
+@pytest.mark.parametrize("after_end", [None, "hold"])
+def test_a_recorded_file_is_drawn_as_its_rollout_would_be(after_end: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = made(lambda x: (x * T, T), step=0.5, after_end=after_end)
+    template = RequestTemplate.of(found.spec, {}, horizon=3.0 if after_end else 0.0, visual=False)
+    request = template.request(RolloutId("simulate", 0, "nominal", 0), (0.5,), 0)
+    plain = run_request_on(found, request, lambda _: None)
+    monkeypatch.setattr(simulate, "load_system", lambda _: found)
+    wanted = run_request_on(found, request.model_copy(update={"visual": True}), lambda _: None)
+    assert drawn(read_canonical(plain, visual=False)) == wanted
 
 
 def test_a_class_is_made_once() -> None:

@@ -2,6 +2,7 @@
 
 import hashlib
 import io
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,20 +12,24 @@ import pytest
 from mcap.reader import make_reader
 from PIL import Image
 
-from perfbound.orchestrator.campaign.ledger import Ledger
+from perfbound.orchestrator.campaign.admission import scored
+from perfbound.orchestrator.campaign.ledger import Ledger, Scored
 from perfbound.orchestrator.fleet.children import simulate
 from perfbound.orchestrator.report.rollout import replay
 from perfbound.orchestrator.report.rollout.comparison import compare
 from perfbound.orchestrator.report.rollout.load import load_recorded
 from perfbound.orchestrator.store import files
 from perfbound.orchestrator.store.journal import Journal
-from perfbound.schemas.batch import alone
+from perfbound.schemas.batch import BatchRequest, alone
 from perfbound.schemas.errors import EvidenceError, JournalError, PerfboundError
+from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.ids import FileId
 from perfbound.schemas.result.facts import Header
 from perfbound.schemas.rollout import RolloutRequest
-from perfbound.schemas.trajectory.trajectory import Trajectory, decode, encode, read_mcap
-from perfbound.workers.simulate import run_request
+from perfbound.schemas.trajectory.batch import read_batch
+from perfbound.schemas.trajectory.trajectory import Trajectory, decode, encode, read_canonical, read_mcap
+from perfbound.workers.batch import run_on
+from perfbound.workers.simulate import drawn, run_request
 from perfbound.workers.systems import load_system
 from tests import campaigns
 from tests.facts import facts, says
@@ -41,16 +46,25 @@ def simulated(request: RolloutRequest) -> bytes:
 def a_run(directory: Path, name: str, payload: Callable[[RolloutRequest], bytes] = simulated, **changes: Any) -> Path:
     """Run a whole campaign in this process."""
     config = campaigns.config(name, max_tests=2, resolution=3, **changes)
+    return run_of(directory, config, lambda request: payload(alone(request)))
+
+
+def run_of(directory: Path, config: CampaignConfig, payload: Callable[[RolloutRequest | BatchRequest], bytes]) -> Path:
     directory.mkdir()
     journal = Journal.create(directory, Header.new(config, load_system(config.system.name).spec, {}))
     ledger = Ledger(directory, journal)
     with ledger.transaction():
         wanted = ledger.outstanding().wanted
     while wanted:
-        data = payload(alone(ledger.request(wanted[0])))
+        request = ledger.request(wanted[0])
+        data = payload(request)
+        digest = hashlib.sha256(data).hexdigest()
+        if isinstance(request, BatchRequest):
+            found: Trajectory | Scored = scored(ledger, request, read_batch(data).batch)
+        else:
+            found = decode(data)
         with ledger.transaction():
-            digest = hashlib.sha256(data).hexdigest()
-            wanted = [*wanted[1:], *ledger.record(wanted[0], data, decode(data), digest).wanted]
+            wanted = [*wanted[1:], *ledger.record(wanted[0], data, found, digest).wanted]
     journal.close()
     return directory
 
@@ -66,6 +80,29 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return a_run(tmp_path_factory.mktemp("runs") / "plain", "segway-paper", horizon=2.0, visual="none")
 
 
+BATCHES = {
+    "name": "batches",
+    "seed": 5,
+    "specification": "always (phi <= 0.5)",
+    "horizon": 1.0,
+    "batch": 4,
+    "recheck": 2,
+    "system": {"name": "segway"},
+    "space": {"x": {"low": 0.0, "high": 5.0}, "y": {"low": 0.0, "high": 5.0}},
+    "claims": [{"quantity": "failure_probability", "delta": 0.05}],
+    "problems": [{"name": "robustness", "method": "sample", "max_tests": 6}],
+}
+IN_BATCHES = "robustness.5.true.0"
+
+
+@pytest.fixture(scope="module")
+def batches(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A campaign in batches that asks for visual parts, which the files of batches do not have."""
+    config = CampaignConfig.model_validate_json(json.dumps(BATCHES))
+    directory = tmp_path_factory.mktemp("runs") / "batches"
+    return run_of(directory, config, lambda request: run_on(load_system("segway"), request, lambda _: None))
+
+
 @pytest.fixture(scope="module")
 def function(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return a_run(tmp_path_factory.mktemp("runs") / "function", "test-function")
@@ -78,10 +115,13 @@ def spoil(monkeypatch: pytest.MonkeyPatch) -> Callable[[Spoil], None]:
 
     def ask(command: str, *arguments: str, **_: object) -> str:
         given = dict(zip(arguments[::2], arguments[1::2], strict=True))
-        assert command == "simulate"
-        data = simulated(RolloutRequest.model_validate_json(given["--request"]))
-        for each in spoils:
-            data = each(data)
+        if command == "visual":
+            data = drawn(read_canonical(Path(given["--file"]).read_bytes(), visual=False))
+        else:
+            assert command == "simulate"
+            data = simulated(RolloutRequest.model_validate_json(given["--request"]))
+            for each in spoils:
+                data = each(data)
         Path(given["--out"]).write_bytes(data)
         return ""
 
@@ -135,6 +175,15 @@ def test_the_same_seed_gives_the_same_bits(request: Any, directory: str, rollout
     first, *rest = replay.replay_rollout(request.getfixturevalue(directory), rollout)
     assert first.startswith(f"{rollout.replace('-', '.')}: segway, ")
     assert rest == ["bitwise the same as the recorded trajectory"]
+
+
+@pytest.mark.usefixtures("spoil")
+def test_every_rollout_of_a_batch_is_replayed(batches: Path) -> None:
+    rollouts = [*(f"robustness.{test}.true.0" for test in range(6)), "recheck.0.true.0", "recheck.1.true.0"]
+    for rollout in rollouts:
+        first, *rest = replay.replay_rollout(batches, rollout)
+        assert first.startswith(f"{rollout}: segway, true, x = ")
+        assert rest == ["bitwise the same as the recorded trajectory"]
 
 
 @pytest.mark.usefixtures("spoil")
@@ -210,6 +259,18 @@ def test_a_damaged_file_is_made_again(request: Any, directory: str, tmp_path: Pa
     ]
 
 
+def test_a_damaged_file_of_a_batch_is_compared_by_the_rollout_alone(batches: Path, tmp_path: Path, spoil: Any) -> None:
+    run_directory = copied(batches, tmp_path / "run")
+    (path,) = (run_directory / "trajectories" / "robustness").rglob("*.4.true.0.2.mcap")
+    path.unlink()
+    _, hurt, good = replay.replay_rollout(run_directory, IN_BATCHES)
+    assert hurt == f"{path}: No such file or directory; restore it from a copy"
+    assert good == "simulated again, the trajectory is bitwise the same as the recorded one"
+    spoil(shifted(1e-15))
+    with pytest.raises(PerfboundError, match=facts("trajectory sha256 not recorded")):
+        list(replay.replay_rollout(run_directory, IN_BATCHES))
+
+
 @pytest.mark.parametrize("directory", ["segway", "plain"])
 def test_a_damaged_file_that_cannot_be_made_again_is_told(
     request: Any, directory: str, tmp_path: Path, spoil: Any
@@ -281,17 +342,35 @@ def test_the_reason_of_the_child_is_passed_on(segway: Path, monkeypatch: pytest.
 # Files
 
 
-@pytest.mark.parametrize("directory", ["segway", "plain"])
+@pytest.mark.parametrize(("directory", "rollout"), [("segway", TRUE), ("plain", TRUE), ("batches", IN_BATCHES)])
 @pytest.mark.usefixtures("spoil")
-def test_the_file_shows_a_person_everything(request: Any, directory: str, tmp_path: Path) -> None:
-    *_, line = replay.replay_rollout(request.getfixturevalue(directory), TRUE, mcap=tmp_path / "new" / "a.mcap")
+def test_the_file_shows_a_person_everything(request: Any, directory: str, rollout: str, tmp_path: Path) -> None:
+    *_, line = replay.replay_rollout(request.getfixturevalue(directory), rollout, mcap=tmp_path / "new" / "a.mcap")
     assert line == f"file: {tmp_path / 'new' / 'a.mcap'}"
     data = (tmp_path / "new" / "a.mcap").read_bytes()
     topics = {channel.topic for _, channel, _ in make_reader(io.BytesIO(data)).iter_messages()}
     assert {"/" + topic.split("/")[1] for topic in topics} == {"/scene", "/solids", "/tf", "/state", "/log"}
-    before = load_recorded(request.getfixturevalue(directory), TRUE).trajectory
+    found = load_recorded(request.getfixturevalue(directory), rollout)
+    assert found.trajectory is not None
+    assert read_mcap(data).trajectory.samples.tobytes() == found.trajectory.samples.tobytes()
+    assert data == simulated(found.request.model_copy(update={"visual": True})), "as a campaign with visual parts"
+
+
+def test_a_visual_part_changes_no_trajectory(segway: Path, plain: Path) -> None:
+    for rollout in (NOMINAL, TRUE):
+        one, other = (load_recorded(directory, rollout).trajectory for directory in (segway, plain))
+        assert one is not None
+        assert other is not None
+        assert one.samples.tobytes() == other.samples.tobytes()
+
+
+def test_the_file_shows_what_was_recorded(plain: Path, spoil: Any, tmp_path: Path) -> None:
+    spoil(shifted(1e-6))
+    with pytest.raises(PerfboundError, match="phi differs"):
+        list(replay.replay_rollout(plain, TRUE, mcap=tmp_path / "a.mcap"))
+    before = load_recorded(plain, TRUE).trajectory
     assert before is not None
-    assert read_mcap(data).trajectory.samples.tobytes() == before.samples.tobytes()
+    assert decode((tmp_path / "a.mcap").read_bytes()).samples.tobytes() == before.samples.tobytes()
 
 
 @pytest.mark.usefixtures("spoil")
