@@ -106,7 +106,7 @@ def canonical_file(layout: Layout, metadata: Mapping[str, str], attachments: Map
 
 def is_of(layout: Layout, data: bytes) -> bool:
     """Whether a file claims to have this layout; nothing else of it is checked."""
-    name = _packed_text(layout.record)
+    name = packed_text(layout.record)
     return data[len(_HEAD) + _RECORD.size :][: len(name)] == name
 
 

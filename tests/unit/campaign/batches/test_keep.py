@@ -215,11 +215,11 @@ def test_a_worker_cannot_send_a_reduced_batch(tmp_path: Path) -> None:
         payload, found, sha256 = play._simulated(ledger, rollout)
         with ledger.transaction():
             ledger.record(rollout, payload, found, sha256)
-        (fact, _), *_ = batches(play)
+        (fact, batch), *_ = batches(play)
         sent = (tmp_path / "run" / fact.path).read_bytes()
         request = next(each for each in play.requests if each.rollout == str(fact.rollout))
         with pytest.raises(EvidenceError, match="not a batch of trajectories"):
-            admit_batch(request, found.batch.columns, sent, fact.sha256)
+            admit_batch(request, batch.columns, sent, fact.sha256)
 
 
 def test_a_rollout_that_is_not_kept_has_its_fact_and_no_samples(tmp_path: Path) -> None:
