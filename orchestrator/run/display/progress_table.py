@@ -64,11 +64,11 @@ def progress_table(
         alpha = alpha_of(config, problem)
         found.add_row(
             problem.name,
-            f"{progress.tests} of {remaining.budget(config, problem, progress.extended)}",
+            f"{progress.tests:,} of {remaining.budget(config, problem, progress.extended):,}",
             figure(remaining_distance(config, problem, progress)),
             figure(alpha) if alpha is None else f"{alpha:g}",
             bound_text(config, problem, progress),
-            str(progress.rollouts),
+            f"{progress.rollouts:,}",
             ENDS[progress.stopped_by] if progress.stopped_by else left,
             style="green" if progress.stopped_by == "converged" else "",
         )
@@ -79,6 +79,6 @@ def progress_table(
             SHRINK: config.falsify.shrink_tests if config.falsify else 0,
             RECHECK: config.recheck,
         }[closing_check(name) or name]
-        end = "ended" if progress.stopped_by else f"of at most {most} tests"
-        found.add_row(name, str(progress.tests), "", "", "", str(progress.rollouts), end)
+        end = "ended" if progress.stopped_by else f"of at most {most:,} tests"
+        found.add_row(name, f"{progress.tests:,}", "", "", "", f"{progress.rollouts:,}", end)
     return found

@@ -17,6 +17,7 @@ from perfbound.orchestrator.campaign.admission import admit_either, scored
 from perfbound.orchestrator.campaign.ledger import Ledger, Scored, observed_rollouts
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.issue import issue, manifest
+from perfbound.orchestrator.certificate.verify.resimulate import Resimulation, finding
 from perfbound.orchestrator.certificate.verify.run import verify_certificate
 from perfbound.orchestrator.report.collect.campaign import Collector
 from perfbound.orchestrator.report.collect.violations import ranked_tests, violating_starts
@@ -28,7 +29,7 @@ from perfbound.orchestrator.store.robustness import read_number_of_rollouts, rea
 from perfbound.schemas.batch import BatchRequest
 from perfbound.schemas.errors import JournalError
 from perfbound.schemas.file.config import CampaignConfig
-from perfbound.schemas.ids import Attempt
+from perfbound.schemas.ids import Attempt, FileId
 from perfbound.schemas.result.block_facts import BatchFact, BlockObservationFact, BlockProposalFact
 from perfbound.schemas.result.facts import RECORDED, Header, ObservationFact, RolloutFact
 from perfbound.schemas.trajectory.batch import Batch, with_failures
@@ -206,6 +207,17 @@ def test_what_a_worker_recorded_is_counted_in_rollouts_and_not_in_batches(name: 
         assert {worker: rollouts for worker, rollouts, _ in read_progress(play.directory).workers} == expected
         rows = Collector(play.directory).refresh().workers
         assert {row.name: row.rollouts for row in rows} == expected
+
+
+def test_a_verification_counts_rollouts_as_rollouts_and_files_as_files(tmp_path: Path) -> None:
+    with played(tmp_path / "a", CAMPAIGNS["sample, blocks"], failing=some) as play:
+        play.certify()
+        found, number = checked(play.directory).found, len(list(play.directory.rglob("*.mcap")))
+    assert found["trajectories"].detail == f"{number} files"
+    assert found["requests"].detail == "50 rollouts"
+    assert found["database"].detail.startswith("50 tests, 50 rollouts, 50 observations, ")
+    again = tuple(Resimulation(FileId.parse(f"a.{test}.b.0.16"), bitwise=True, difference=0.0) for test in (0, 16))
+    assert finding(again, 1234).startswith("2 of 1,234 files, bitwise the same: ")
 
 
 @pytest.mark.parametrize("name", CAMPAIGNS)

@@ -21,7 +21,14 @@ def progress(upper: float | None) -> ProblemProgress:
 
 @pytest.mark.parametrize(
     ("place", "upper", "shown"),
-    [(0, -0.196799, "0.1967"), (0, 0.00011, "-0.0002"), (1, 0.468014, "0.4681"), (1, 0.5, "0.5000"), (1, None, "-")],
+    [
+        (0, -0.196799, "0.1967"),
+        (0, 0.02341, "-0.0235"),
+        (0, 0.00011, "-0.00011"),
+        (1, 0.468014, "0.4681"),
+        (1, 0.5, "0.5000"),
+        (1, None, "-"),
+    ],
 )
 def test_it_is_rounded_to_the_safe_side(place: int, upper: float | None, shown: str) -> None:
     problem = CAMPAIGN.problems[place]
