@@ -135,7 +135,7 @@ class Plain:
             distance = "" if alpha is None else f"{name} {figure(away)} (alpha {alpha:g}), "
             early = problem.bound_at_end and not end
             words = "with this budget the bound would be" if early and bound is not None else "bound so far"
-            shown = bound_text(config, problem, progress)
+            shown = bound_text(config, problem, bound)
             self.print_line(f"{problem.name}: test {progress.tests:,}, {distance}{words} {shown}{end}")
             if problem.method == "paper" and not self._has_legend:
                 self._has_legend = True

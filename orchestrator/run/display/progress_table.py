@@ -34,9 +34,14 @@ def bound_in_sense(config: CampaignConfig, problem: Problem, progress: ProblemPr
     return floored(-upper if sense == "min" else upper, sense, by_clip(config, problem))
 
 
-def bound_text(config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> str:
-    """Return the bound so far, rounded to the safe side; a dash without one."""
-    bound = bound_in_sense(config, problem, progress)
+def proven_bound(config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> float | None:
+    """Return the same as far as it holds now: before its end a method that claims nothing until then has none."""
+    early = problem.bound_at_end and progress.stopped_by is None
+    return None if early else bound_in_sense(config, problem, progress)
+
+
+def bound_text(config: CampaignConfig, problem: Problem, bound: float | None) -> str:
+    """Return a bound, rounded to the safe side; a dash without one."""
     return "-" if bound is None else outward(bound, ">=" if config.sense_of(problem) == "min" else "<=")
 
 
@@ -67,7 +72,7 @@ def progress_table(
             f"{progress.tests:,} of {remaining.budget(config, problem, progress.extended):,}",
             figure(remaining_distance(config, problem, progress)),
             figure(alpha) if alpha is None else f"{alpha:g}",
-            bound_text(config, problem, progress),
+            bound_text(config, problem, proven_bound(config, problem, progress)),
             f"{progress.rollouts:,}",
             ENDS[progress.stopped_by] if progress.stopped_by else left,
             style="green" if progress.stopped_by == "converged" else "",
