@@ -1,4 +1,4 @@
-"""Numbers of bytes as text."""
+"""Amounts as text: numbers of bytes and of things."""
 
 import math
 
@@ -11,3 +11,12 @@ def amount(number: float) -> str:
     """
     power = min(4, int(math.log10(number) // 3)) if number >= 1 else 0
     return f"{number / 1000**power:.3g} {('B', 'kB', 'MB', 'GB', 'TB')[power]}"
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun.
+
+    >>> counted(1, "rollout"), counted(100_000, "rollout")
+    ('1 rollout', '100,000 rollouts')
+    """
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"

@@ -74,6 +74,10 @@ class JournalError(PerfboundError):
     """The campaign database cannot be used as it is."""
 
 
+class OtherVersionError(JournalError):
+    """Another perfbound wrote the campaign database."""
+
+
 class SignatureError(PerfboundError):
     """The key or the signature is not acceptable."""
 

@@ -53,13 +53,13 @@ def extension_words(fact: ExtensionFact, max_tests: int) -> str:
     """
     fewer = [(name, tests) for name, tests in fact.budgets if tests < max_tests]
     if not fewer:
-        return f"extended to {max_tests} tests"
+        return f"extended to {max_tests:,} tests"
     if len(fact.budgets) == 1:
         ((_, tests),) = fewer
-        why = f"without noise one test of each of the {tests} starts shows all"
-        return f"extended to {tests} tests, not {max_tests}: {why}"
-    each = ", ".join(f"{name} to {tests}" for name, tests in fewer)
-    return f"extended to {max_tests} tests, {each}: without noise one test of each start shows all"
+        why = f"without noise one test of each of the {tests:,} starts shows all"
+        return f"extended to {tests:,} tests, not {max_tests:,}: {why}"
+    each = ", ".join(f"{name} to {tests:,}" for name, tests in fewer)
+    return f"extended to {max_tests:,} tests, {each}: without noise one test of each start shows all"
 
 
 def check_extension(fact: ExtensionFact, accounts: Mapping[str, Account], closing: ClosingChecks, number: int) -> None:

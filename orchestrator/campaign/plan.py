@@ -373,6 +373,6 @@ def spread_points(
         if number * len(shares) > most:
             break
     raise CampaignError(
-        f"space.where: only {len(found)} of the {count} candidates are in the region; give fewer, or choose narrower "
-        "ranges"
+        f"space.where: only {len(found):,} of the {count:,} candidates are in the region; give fewer, or choose "
+        "narrower ranges"
     )

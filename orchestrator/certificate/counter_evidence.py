@@ -11,6 +11,7 @@ from array import array
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from ...schemas.amounts import counted
 from ...schemas.file.config import CampaignConfig
 from ...schemas.file.drawn_claims import is_sampled
 from ...schemas.file.objectives import OBJECTIVES, Quantity, Reading
@@ -21,7 +22,7 @@ from ..campaign.clip import SAME, hiding, reach_of
 from ..mathematics.bounds.checks.counter_evidence import OppositeTest
 from ..store.export_tables import robustness_unit
 from ..store.robustness import ObservedValues
-from .words.bound_text import clip_words, if_they_hold, margin_text, outward, parameter_units
+from .words.bound_text import as_required, clip_words, if_they_hold, margin_text, outward, parameter_units
 from .words.refutation_text import margin_words, named_start
 from .words.text import claim_words
 
@@ -243,7 +244,7 @@ def _one_start_below(header: Header, claim: CertificateClaim, required: float, v
         return None
     unit = robustness_unit(header.config, header.spec)
     margin = margin_words(least, unit)
-    less = "" if required == 0 else f", less than the required {margin_text(f'{required:g}', claim, unit)}"
+    less = "" if required == 0 else f", less than the required {margin_text(as_required(required), claim, unit)}"
     return VerdictFinding(
         "VIOLATED",
         (f"At {_start_words(header, worst)} the robustness is {margin}{less}, and nothing there is random.",),
@@ -285,8 +286,8 @@ def _most_suspicious(header: Header, by_start: ByStart, required: float) -> tupl
     clips = (hiding(clip, within, "mean", sense) for sense in (">=", "<="))
     clipped = next((f", {clip_words(each)}," for each in clips if each is not None), "")
     return (
-        f"{below:,} of {number:,} rollout{'' if number == 1 else 's'} at {_start_words(header, worst)} "
-        f"{'is' if below == 1 else 'are'} below {required:g}; the mean there{clipped} is {mean}.",
+        f"{below:,} of {counted(number, 'rollout')} at {_start_words(header, worst)} "
+        f"{'is' if below == 1 else 'are'} below {as_required(required)}; the mean there{clipped} is {mean}.",
     )
 
 
@@ -309,7 +310,7 @@ def _mean_below(
     # Values above the upper end may lift the mean itself over what is required.
     clip = hiding(config.clip, reach_of(config.formula), "mean", "<=")
     clipped = "" if clip is None else f", {clip_words(clip)},"
-    found = _refuting(test, probability, f"{whose}{clipped} is below {required:g}")
+    found = _refuting(test, probability, f"{whose}{clipped} is below {as_required(required)}")
     return None if found is None else replace(found, clip=clip)
 
 
@@ -320,7 +321,9 @@ def _too_many_below(share: float, margin: float, probability: float, samples: Se
     test = OppositeTest(1.0 - share, 0.0, 1.0)
     test.observe_each("", [float(value >= margin) for value in samples])
     return _refuting(
-        test, probability, f"More than {100 * share:g} % of the rollouts at drawn starts are below {margin:g}"
+        test,
+        probability,
+        f"More than {as_required(100 * share)} % of the rollouts at drawn starts are below {as_required(margin)}",
     )
 
 

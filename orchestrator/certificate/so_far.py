@@ -16,7 +16,6 @@ from ..campaign.assumption_tests import OneLaw
 from ..campaign.bounded_parts import bounded_accounts
 from ..campaign.ledger import Ledger
 from ..campaign.series import Account
-from ..mathematics.bounds.sample import SampleMethod
 from .assumptions.audit import ClosingResults, assumptions
 from .assumptions.sampled import noisy_variants, one_law
 from .assumptions.sentences import assumption
@@ -124,9 +123,6 @@ class AuditSoFar:
         last, problem = account.last_bound, account.plan.problem
         if last is None or last.bound.upper is None:
             return False
-        method = self.ledger.methods.get(account.plan.key)
-        if isinstance(method, SampleMethod):
-            return all(method.found(place) is not None for place in range(len(account.plan.claims)))
         return last.stopped_by is not None or not problem.bound_at_end
 
 

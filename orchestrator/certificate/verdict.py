@@ -13,6 +13,7 @@ from ...schemas.result.certificate import CertificateClaim, Predicate
 from ...schemas.result.facts import Header
 from ...schemas.result.known import CampaignVerdict, Violations
 from ..campaign.clip import SAME
+from .assumptions.sentences import value_text
 from .counter_evidence import (
     SAY_LIMIT,
     WORST,
@@ -39,7 +40,7 @@ from .words.advice import (
     for_the_probability,
     instead_of_refuted,
 )
-from .words.bound_text import claim_unit, clip_words, margin_text, outward
+from .words.bound_text import as_required, claim_unit, clip_words, margin_text, outward
 from .words.refutation_text import refutation_words
 from .words.text import CERTAIN, NO_SHARE, VACUOUS, claim_words, clip_in_words, nothing_shown
 
@@ -133,7 +134,7 @@ def claim_in_plain_words(claim: CertificateClaim, unit: str, risk_weight: float)
     if meaning is None:
         words = f"{UNDER_REFUTED}: {claim_words(claim)}" if claim.refuted else capitalised(claim_words(claim))
         return f"{words} {claim.sense} {margin_text(bound, claim, unit)}, {chance}"
-    where = "every start" if claim.starts is None else f"each of the {claim.starts} listed starts"
+    where = "every start" if claim.starts is None else f"each of the {claim.starts:,} listed starts"
     of = {"every": ", of every requirement"}.get(claim.rule, f", of {claim.requirement}" if claim.requirement else "")
     ends = "" if claim.clipped is None else f", {clip_words(claim.clipped)}"
     margin = f"{margin_text(bound, claim, unit)} ({meaning.format(risk_weight)}{of}{ends})"
@@ -147,7 +148,7 @@ def _by_tolerance(predicate: Predicate) -> tuple[str, ...]:
     if found is None:
         return ()
     # The file is anyone's: an edited one may lack a value.
-    number, rollouts, first = (found.values.get(key, "?") for key in ("number", "rollouts", "first"))
+    number, rollouts, first = (value_text(found.values.get(key, "?")) for key in ("number", "rollouts", "first"))
     return (
         f"Whether {number} of {rollouts} rollouts violate the specification may depend on a time stamp that counts as "
         f"the border of a window (the first: {first}; assumption `borders`).",
@@ -176,7 +177,8 @@ def _shown(header: Header, predicate: Predicate, required: Required) -> VerdictF
         return None
     if _ended_untested(header, predicate):
         return None
-    limit = margin_text(f"{required.bound:g}", claim, required.unit)
+    assert required.bound is not None, "every bound falls short of it"
+    limit = margin_text(as_required(required.bound), claim, required.unit)
     reasons = [f"Required {'at least' if claim.sense == '>=' else 'at most'} {limit}."]
     reasons += clip_in_words(predicate, claim)
     if claim.quantity == "next_rollout":
@@ -248,7 +250,7 @@ def _not_shown(
         reasons.append(f"The campaign file does not say the largest acceptable {what}.")
         advice.append(SAY_LIMIT.capitalize())
     elif _falls_short(claim, required):
-        limit, bound = margin_text(f"{required.bound:g}", claim, required.unit), outward(claim.bound, claim.sense)
+        limit, bound = margin_text(as_required(required.bound), claim, required.unit), outward(claim.bound, claim.sense)
         reasons.append(f"The bound {bound} does not reach the required {limit}{_budget_words(predicate)}.")
         if not claim.refuted:
             advice.append(better(required.bound))
@@ -256,7 +258,7 @@ def _not_shown(
         chance = outward(claim.probability, ">=")
         # What is refuted holds with no probability.
         holds = f"Its probability would be {chance}" if claim.refuted else f"It holds with probability {chance}"
-        reasons.append(f"{holds}, and {required.probability:g} is required.")
+        reasons.append(f"{holds}, and {as_required(required.probability)} is required.")
         advice.append(for_the_probability(header.config, claim, required.probability))
     return VerdictFinding("NOT SHOWN", (*reasons, *where), tuple(advice))
 

@@ -7,6 +7,7 @@ from typing import Literal
 
 import click
 
+from ...schemas.amounts import counted
 from ...schemas.errors import meant, one_line
 from . import signing
 from .early import check_directory
@@ -19,7 +20,12 @@ from .stderr import STDERR
 @click.argument("path", type=click.Path(path_type=Path, exists=True))
 @click.option("--key", type=click.Path(path_type=Path, dir_okay=False), default=None, help="The signer's public key.")
 @click.option(
-    "--resimulate", "again", type=click.IntRange(0), default=0, metavar="K", help="Simulate K random rollouts again."
+    "--resimulate",
+    "again",
+    type=click.IntRange(0),
+    default=0,
+    metavar="K",
+    help="Simulate K rollouts or batches again.",
 )
 @click.option(
     "--system",
@@ -125,7 +131,7 @@ def export(*, directory: Path, tables: tuple[str, ...], out: Path | None, form: 
             out or directory / store.DEFAULT,
             tuple(dict.fromkeys(tables)) or store.TABLES,
             form=form,
-            progress=lambda name, rows: status.update(f"{name}: {rows} rows"),
+            progress=lambda name, rows: status.update(f"{name}: {rows:,} rows"),
         )
     for path, rows in found:
-        click.echo(f"{path}  {rows} rows")
+        click.echo(f"{path}  {counted(rows, 'row')}")

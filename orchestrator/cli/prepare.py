@@ -111,12 +111,12 @@ def calibrate(*, campaign: Path, rollouts: int, seed: int, workers: int, out: Pa
     wish = CalibrationWish(campaign, rollouts, seed, workers, campaign.with_name(f"{campaign.stem}-calibrated.toml"))
     with STDERR.console.status("calibrating") as shown:
         found = calibration_of(
-            wish, folder, lambda name, done, total: shown.update(f"{name}: {done} of about {total} rollouts")
+            wish, folder, lambda name, done, total: shown.update(f"{name}: {done:,} of about {total:,} rollouts")
         )
     console = output_console()
     for problem in found.problems:
         if problem.constants:
-            console.print(f"{problem.name}: {problem.measured.rollouts} rollouts", highlight=False)
+            console.print(f"{problem.name}: {problem.measured.rollouts:,} rollouts", highlight=False)
             console.print(constants_table(found, problem))
     for line in closing_lines(found, folder):
         click.echo(line)

@@ -8,6 +8,7 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
+from ...schemas.amounts import counted
 from ...schemas.errors import one_line
 from ...schemas.file.problem_models import KrigingProblem
 from ...schemas.result.known import SoFar
@@ -68,8 +69,8 @@ def _print_so_far(found: SoFar, console: Console, *, running: bool) -> None:
         if each.status == "refuted" and each.id not in found.others:
             console.print(Text(f"REFUTED: {each.id}: {each.detail}", "bold red"), soft_wrap=True)
     if not running:
-        ago = duration(max(0.0, time.time() - found.at))
-        console.print(Text(f"as of {found.tests} tests, {ago} ago: no process runs this campaign now"), soft_wrap=True)
+        tests, ago = counted(found.tests, "test"), duration(max(0.0, time.time() - found.at))
+        console.print(Text(f"as of {tests}, {ago} ago: no process runs this campaign now"), soft_wrap=True)
     console.print()
 
 
@@ -85,24 +86,20 @@ def _work(progress: CampaignProgress, *, running: bool) -> list[str]:
     lines = []
     for name, rollouts, last in progress.workers:
         ago = f", the last {duration(max(0.0, now - last))} ago" if running else ""
-        lines.append(f"worker {name}: {_number(rollouts, 'rollout')}{ago}")
+        lines.append(f"worker {name}: {counted(rollouts, 'rollout')}{ago}")
     for each in progress.pauses:
         left = duration(each.until - now) if each.until < math.inf else "all the rest"
         still = f", {left} to go" if running and each.until > now else ""
         lines.append(
-            f"{each.kind} {each.name}: set aside {_number(each.count, 'time')}{still}; {one_line(each.reason)}"
+            f"{each.kind} {each.name}: set aside {counted(each.count, 'time')}{still}; {one_line(each.reason)}"
         )
     if progress.opinions:
-        counts = ", ".join(f"{count} {kind}" for kind, count in progress.opinions.items())
+        counts = ", ".join(f"{count:,} {kind}" for kind, count in progress.opinions.items())
         lines.append(f"results: {counts} (`perfbound export DIR opinions` lists them)")
-    of_system = f" ({progress.system_failures} failed in the system)" if progress.system_failures else ""
-    handed_back = f"; {_number(progress.handed_back, 'attempt')} handed back" if progress.handed_back else ""
+    of_system = f" ({progress.system_failures:,} failed in the system)" if progress.system_failures else ""
+    handed_back = f"; {counted(progress.handed_back, 'attempt')} handed back" if progress.handed_back else ""
     lines.append(
-        f"{progress.rate:.1f} rollouts/s in the last minute of work; {_number(progress.failures, 'attempt')} without a "
-        f"result{of_system}{handed_back}; {_number(progress.sessions, 'start')} of the orchestrator"
+        f"{progress.rate:,.1f} rollouts/s in the last minute of work; {counted(progress.failures, 'attempt')} without "
+        f"a result{of_system}{handed_back}; {counted(progress.sessions, 'start')} of the orchestrator"
     )
     return lines
-
-
-def _number(count: int, what: str) -> str:
-    return f"{count} {what}{'' if count == 1 else 's'}"

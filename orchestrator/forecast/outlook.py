@@ -123,7 +123,7 @@ def in_words(config: CampaignConfig, problem: Problem, progress: ProblemProgress
         return None
     sign = -1 if config.sense_of(problem) == "min" else 1
     gain = found.gain.words(1)
-    more = f"{MORE} further rollouts would bring about {gain}"
+    more = f"{MORE:,} further rollouts would bring about {gain}"
     if progress.stopped_by == "budget":
         return f"forecast: {more}"
     return f"forecast: bound about {found.bound.words(sign)} after {count_words(found.tests)} tests; {more}"
@@ -149,7 +149,7 @@ def count_words(tests: Guess) -> str:
     ('80 (71 to 121)', '400')
     """
     low, high = math.floor(tests.low), math.ceil(tests.high)
-    return f"{low}" if low == high else f"{round(tests.middle)} ({low} to {high})"
+    return f"{low:,}" if low == high else f"{round(tests.middle):,} ({low:,} to {high:,})"
 
 
 def _planned_words(config: CampaignConfig, problem: KrigingProblem, progress: ProblemProgress) -> str | None:
@@ -157,11 +157,11 @@ def _planned_words(config: CampaignConfig, problem: KrigingProblem, progress: Pr
     if progress.planned is None:
         return None
     bound, gain = progress.planned
-    more = f"a campaign planned for {MORE} more rollouts would gain about {gain.words(1)}"
+    more = f"a campaign planned for {MORE:,} more rollouts would gain about {gain.words(1)}"
     if progress.stopped_by == "budget":
         return f"forecast: {more}"
     sign = -1 if config.sense_of(problem) == "min" else 1
-    return f"forecast: bound about {bound.words(sign)} after {config.max_tests_of(problem)} tests; {more}"
+    return f"forecast: bound about {bound.words(sign)} after {config.max_tests_of(problem):,} tests; {more}"
 
 
 def with_last(progress: ProblemProgress) -> list[CoursePoint]:

@@ -58,7 +58,7 @@ def out_of_reach(plan: "ProblemPlan") -> str | None:
     if problem.alpha is None or least <= problem.alpha:
         return None
     return (
-        f"{plan.key}: {tests} tests cannot be expected to reach alpha = {problem.alpha:g}: even with all tests "
+        f"{plan.key}: {tests:,} tests cannot be expected to reach alpha = {problem.alpha:g}: even with all tests "
         f"at one point, upper and lower bound stay about {least:.3g} apart. The budget ends the problem then; raise "
         "max_tests or alpha, or continue with the wider bound"
     )

@@ -14,6 +14,7 @@ from matplotlib.colors import ListedColormap, TwoSlopeNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from ...schemas.amounts import counted
 from ..certificate.words.bound_text import outward
 from ..mathematics.gp.kernels import Floats
 from . import style
@@ -170,7 +171,7 @@ def draw_problem_tests(figure: Figure, parameters: tuple[Axis, ...], problem: Pr
         axes.text(1.04, row, f"{each.high:.4g}", verticalalignment="center")
     axes.tick_params(axis="y", length=0)
     axes.set(xlim=(-0.02, 1.02), ylim=(rows[-1] + 0.4, -0.4), xticks=())
-    axes.set_title(_title(problem) if len(kept) == len(y) else f"the worst {len(kept)} of {problem.observed} tests")
+    axes.set_title(_title(problem) if len(kept) == len(y) else f"the worst {len(kept):,} of {problem.observed:,} tests")
     axes.spines[:].set_visible(False)
     colours = figure.colorbar(lines, ax=axes, orientation="horizontal", pad=0.02, aspect=40)
     values = np.unique(ends).tolist()
@@ -236,4 +237,4 @@ def _array(values: Series) -> Floats:
 def _title(problem: Problem) -> str:
     number = problem.observed
     name = ", ".join(filter(None, (problem.name.replace("_", " "), problem.requirement)))
-    return f"{name}: {number} test{'' if number == 1 else 's'}, method {problem.method}"
+    return f"{name}: {counted(number, 'test')}, method {problem.method}"

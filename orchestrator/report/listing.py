@@ -8,7 +8,7 @@ from typing import Literal
 
 from rich.text import Text
 
-from ...schemas.errors import PerfboundError, one_line
+from ...schemas.errors import OtherVersionError, PerfboundError, one_line
 from ...schemas.result.known import CampaignState, CampaignVerdict, VerdictWord, Violations
 from ..certificate import files
 from ..certificate.words.format import duration
@@ -24,7 +24,7 @@ DEPTH = 3
 HEAD = ("campaign", "verdict", "first claim", "state", "rollouts", "violations", "changed")
 NUMBERS = ("rollouts", "violations")
 
-ListedState = CampaignState | Literal["damaged"]
+ListedState = CampaignState | Literal["damaged", "other version"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class ListedCampaign:
 
 
 def campaigns_below(folder: Path) -> Iterator[ListedCampaign]:
-    """Yield the campaigns in a folder and below it, the one that changed last first; a damaged one with its fault.
+    """Yield the campaigns in a folder and below it, the one that changed last first; an unreadable one has its fault.
 
     Raises:
         PerfboundError: there is no such folder.
@@ -88,7 +88,7 @@ def last_change(directory: Path) -> float:
 
 
 def read_campaign(directory: Path, changed: float) -> tuple[ListedCampaign, CampaignVerdict | None]:
-    """Return the campaign in a run directory, and its verdict where it has one; a damaged one with its fault."""
+    """Return the campaign in a run directory, and its verdict where it has one; an unreadable one has its fault."""
     try:
         header, certificate, running = header_alone(directory), files.read(directory), lock.is_held(directory)
         state = state_of(certificate, running=running)
@@ -103,13 +103,18 @@ def read_campaign(directory: Path, changed: float) -> tuple[ListedCampaign, Camp
         )
     except (PerfboundError, OSError) as error:
         return ListedCampaign(
-            directory, directory.name, "damaged", None, "", 0, None, changed, one_line(str(error))
+            directory, directory.name, unreadable(error), None, "", 0, None, changed, one_line(str(error))
         ), None
     bound, violations = first_bound(found), _count_of(found.violations)
     refuted = bool(certificate.predicate.claims[0].refuted)
     return ListedCampaign(
         directory, found.campaign, state, found.verdict, bound, recorded, violations, changed, refuted=refuted
     ), found
+
+
+def unreadable(error: Exception) -> ListedState:
+    """Return the state of a campaign that cannot be read."""
+    return "other version" if isinstance(error, OtherVersionError) else "damaged"
 
 
 def _count_of(seen: Violations) -> int | None:
@@ -137,4 +142,5 @@ def _cells_of(each: ListedCampaign, now: float) -> tuple[str, ...]:
     shown = bound or each.fault or "-"
     folder = one_line(str(each.directory))
     violations = "-" if each.violations is None else f"{each.violations:,}"
-    return (folder, each.verdict or "-", shown, each.state, f"{each.rollouts:,}", violations, age)
+    rollouts = "-" if each.fault else f"{each.rollouts:,}"
+    return (folder, each.verdict or "-", shown, each.state, rollouts, violations, age)

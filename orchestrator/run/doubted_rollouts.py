@@ -35,9 +35,9 @@ class Review:
         disputed, suspects = doubted(self._journal)
         self._disputed = frozenset(disputed)
         if disputed:
-            self._print_line(f"{len(disputed)} rollouts on which two workers differ are simulated again")
+            self._print_line(f"{len(disputed):,} rollouts on which two workers differ are simulated again")
         elif suspects:
-            self._print_line(f"{len(suspects)} rollouts of outvoted workers are simulated again")
+            self._print_line(f"{len(suspects):,} rollouts of outvoted workers are simulated again")
         # First the disputes: they decide who else is outvoted.
         found = disputed or suspects
         for rollout in found:

@@ -21,7 +21,7 @@ from ..store.read import system_reference
 from ..store.robustness import read_values, read_violations
 from ..store.so_far import read_so_far
 from .continuation import continue_command
-from .display.progress_table import bound_in_sense, remaining_distance
+from .display.progress_table import proven_bound, remaining_distance
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ class Known:
                     tests=each.tests,
                     most_tests=budget(config, problem, each.extended),
                     rollouts=each.rollouts,
-                    bound=bound_in_sense(config, problem, each),
+                    bound=proven_bound(config, problem, each),
                     distance=remaining_distance(config, problem, each),
                     alpha=alpha_of(config, problem),
                     stopped_by=each.stopped_by,

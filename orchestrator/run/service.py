@@ -231,7 +231,7 @@ class Service:
             self._stop = message.signal
             return
         self._draining, count = message.signal, machine.under_way(self._state)
-        self._print_line(f"draining: {count} rollouts are under way; a second signal stops at once")
+        self._print_line(f"draining: {count:,} rollouts are under way; a second signal stops at once")
 
     def _tick(self, now: float) -> None:
         self._next_tick = now + TICK

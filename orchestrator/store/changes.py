@@ -11,10 +11,19 @@ from sqlalchemy import Connection
 from ...schemas.errors import JournalError
 from ...schemas.ranges import within_seconds
 from ...schemas.result.block_facts import BlockObservationFact, BlockProposalFact, each_rollout
-from ...schemas.result.facts import BoundFact, ExtensionFact, Header, ObservationFact, ProposalFact, RolloutFact
+from ...schemas.result.facts import (
+    RECORDED,
+    BoundFact,
+    ExtensionFact,
+    Header,
+    ObservationFact,
+    ProposalFact,
+    RolloutFact,
+)
 from ...schemas.values import Proposal
 from . import tables
 from .facts import READERS, rollout_fact
+from .progress import ROLLOUTS_OF_WORKERS
 from .read import read_header, reading
 from .rows import DATABASE
 
@@ -35,6 +44,7 @@ _COUNTS = (
     .where(_rollouts.seq > _SINCE)
     .group_by(_rollouts.problem)
 )
+_WORKERS = sa.text(ROLLOUTS_OF_WORKERS).bindparams(recorded=RECORDED)
 _VIOLATIONS = sa.select(tables.rollouts).where(_rollouts.seq > _SINCE, _rollouts.robustness < 0).order_by(_rollouts.seq)
 # A row has the rollouts of one test, or of the tests of a batch: a view of each test would expand every one of them.
 _OF_TEST = (
@@ -135,13 +145,14 @@ _OPINIONS, _PAUSES = _after_last(tables.opinions, ComparedResult), _after_last(t
 class Changes:
     """The rows that one call found and the call before had not; `header` and `sessions` are whole.
 
-    `decisions` are as they were written, those of blocks among them. `rollouts` counts by problem, `violations` are
-    those with robustness below 0, `hosts` the last host by worker.
+    `decisions` are as they were written, those of blocks among them. `rollouts` counts by problem, `of_workers` by the
+    worker that recorded them, `violations` are those with robustness below 0, `hosts` the last host by worker.
     """
 
     header: Header
     decisions: tuple[Decision, ...]
     rollouts: dict[str, int]
+    of_workers: dict[str, int]
     violations: tuple[RolloutFact, ...]
     outcomes: tuple[AttemptOutcome, ...]
     hosts: dict[str, str]
@@ -181,6 +192,7 @@ class ChangeReader:
                 for row in connection.execute(query, seq)
             ]
             counts = connection.execute(_COUNTS, seq).all()
+            of_workers = {row[0]: row[1] for row in connection.execute(_WORKERS, seq)}
             violations = connection.execute(_VIOLATIONS, seq).all()
             outcomes = connection.execute(_OUTCOMES, {"since": self._ended}).all()
             hosts = connection.execute(_HOSTS, {"since": self._started}).all()
@@ -192,6 +204,7 @@ class ChangeReader:
             header,
             tuple(fact for _, fact in decisions),
             {row.problem: row.number for row in counts},
+            of_workers,
             tuple(fact for row in violations for fact in _rollouts_of(row, self._directory) if fact.violates),
             tuple(_ended_attempt(row) for row in outcomes),
             {row.worker: row.host for row in hosts},

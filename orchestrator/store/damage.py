@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ...schemas.errors import JournalError, one_line
+from ...schemas.errors import JournalError, OtherVersionError, one_line
 from .rows import DATABASE
 
 _UNREADABLE = (ValueError, TypeError, LookupError, ArithmeticError, RecursionError)
@@ -18,7 +18,7 @@ def naming_cause(directory: Path) -> Iterator[None]:
     """Name the cause of an error of the database in `directory`.
 
     Raises:
-        JournalError: the file is damaged, or no campaign database.
+        JournalError: the file is damaged, or no campaign database, or that of another perfbound.
         OSError: the disk is full or fails, which is no fault of the file.
 
     """
@@ -31,6 +31,12 @@ def naming_cause(directory: Path) -> Iterator[None]:
             if _of_the_disk(cause):
                 raise OSError(errno.EIO, str(cause), str(path)) from None
             found = str(cause)
+            # Damage takes no single column away: another perfbound made these tables, whatever version they claim.
+            if found.startswith("no such column"):
+                raise OtherVersionError(
+                    f"{path}: its tables are not those of this perfbound ({one_line(found)[:200]}); use the perfbound "
+                    "that wrote it"
+                ) from None
         elif isinstance(error, _UNREADABLE):
             found = f"{type(error).__name__}: {error}"
         else:

@@ -44,6 +44,18 @@ _BATCH = "SELECT total(rollouts) / count(*) FROM rollouts"
 _MARKED = json.dumps([tests - 1 for tests in sorted(MARKED)])
 _EXTENSIONS = "SELECT seq, number, budgets FROM extensions ORDER BY seq"
 _WORKERS = "SELECT worker, count(*), max(ended) FROM outcomes WHERE outcome = ? GROUP BY worker ORDER BY worker"
+ROLLOUTS_OF_WORKERS = """
+    SELECT worker, sum(rollouts) FROM (
+        SELECT worker, rollouts, max(CASE WHEN places > 1 THEN -attempt ELSE attempt END)
+        FROM rollouts CROSS JOIN outcomes WHERE seq > :since AND outcome = :recorded
+        AND rollout = problem || '.' || test || '.' || variant || '.' || replicate GROUP BY seq
+    ) GROUP BY worker
+"""
+"""The rollouts that each worker has recorded, in rows after a sequence number.
+
+A batch and the retry of its first rollout have one name, and the retry has the later attempt; what was recorded again
+after a discard is of the last one. The worker beside max(...) is that of its row: an extension of SQLite.
+"""
 _FAILURES = "SELECT count(*) FROM outcomes WHERE outcome NOT IN (?, ?, ?)"
 _HANDED_BACK = "SELECT count(*) FROM outcomes WHERE outcome = ?"
 _SYSTEM_FAILURES = "SELECT count(*) FROM outcomes WHERE kind = 'system'"
@@ -167,7 +179,7 @@ def _campaign_progress(connection: sqlite3.Connection, directory: Path) -> Campa
             )
             for each in header.config.problems
         ),
-        tuple((str(row[0]), int(row[1]), float(row[2])) for row in connection.execute(_WORKERS, [RECORDED])),
+        _workers(connection, blocks=header.config.batch > 1),
         int(connection.execute(_FAILURES, NO_FAILURE).fetchone()[0]),
         int(connection.execute(_SYSTEM_FAILURES).fetchone()[0]),
         int(connection.execute(_HANDED_BACK, [HANDED_BACK]).fetchone()[0]),
@@ -176,6 +188,16 @@ def _campaign_progress(connection: sqlite3.Connection, directory: Path) -> Campa
         _pauses(connection),
         dict(connection.execute(_OPINIONS).fetchall()),
         rate([row[0] for row in connection.execute(_RECENT, [RECORDED, RECENT])], started) * _batch(connection, header),
+    )
+
+
+def _workers(connection: sqlite3.Connection, *, blocks: bool) -> tuple[tuple[str, int, float], ...]:
+    # Without batches a result is a rollout, and there may be a million of them to look up.
+    query, keys = ROLLOUTS_OF_WORKERS, {"since": 0, "recorded": RECORDED}
+    in_batches = dict(connection.execute(query, keys).fetchall()) if blocks else None
+    return tuple(
+        (str(worker), int(results if in_batches is None else in_batches.get(worker, 0)), float(last))
+        for worker, results, last in connection.execute(_WORKERS, [RECORDED])
     )
 
 

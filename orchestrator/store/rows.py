@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ...schemas.base import canonical_json
-from ...schemas.errors import JournalError
+from ...schemas.errors import JournalError, OtherVersionError
 from ...schemas.failure import Failure
 from ...schemas.file.config import CampaignConfig
 from ...schemas.ids import Attempt
@@ -55,12 +55,12 @@ def check_version(directory: Path, version: object) -> None:
     """Refuse a database by its schema version, which may be anything.
 
     Raises:
-        JournalError: this perfbound does not read it.
+        OtherVersionError: this perfbound does not read it.
 
     """
     if version != SCHEMA_VERSION:
         found = "no schema version" if version is None else f"schema version {repr(version)[:LONGEST_NUMBER]}"
-        raise JournalError(
+        raise OtherVersionError(
             f"{directory / DATABASE}: {found}, this perfbound reads {SCHEMA_VERSION}; use the perfbound that wrote it"
         )
 

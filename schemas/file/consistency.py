@@ -15,7 +15,7 @@ from .method_spaces import (
     draws_starts,
     largest_resolution,
 )
-from .objectives import CLAIMS, OBJECTIVES, OF_ROBUSTNESS, ProblemName, any_of
+from .objectives import CLAIMS, OBJECTIVES, OF_ROBUSTNESS, ProblemName, Sense, any_of
 from .parameters import check_signals, parameter_ranges
 from .parts import parts_of
 from .problem_models import KrigingProblem, Problem, RigorousProblem, SampleProblem
@@ -82,6 +82,7 @@ def _rules_of_claims(config: CampaignKeys) -> Iterator[Callable[[], None]]:
     if config.specifications:
         yield partial(_check_specifications, config)
     yield partial(_check_claims, config)
+    yield partial(_check_required_side, config)
 
 
 def _check_repeated(config: CampaignKeys) -> None:
@@ -111,6 +112,26 @@ def _check_required(config: CampaignKeys) -> None:
             f"required_margin: {config.required_margin:g} is not below the upper clip {config.clip[1]:g}, which no "
             "clipped robustness exceeds; choose a wider clip"
         )
+
+
+def _check_required_side(config: CampaignKeys) -> None:
+    """Refuse a requirement that the verdict would pass over: that of a bound from the other side."""
+    if _first_sense(config) == "min":
+        key, side, instead, given = "required_at_most", "below", "required_margin", config.required_at_most is not None
+    else:
+        key, side, instead, given = "required_margin", "above", "required_at_most", config.required_margin != 0
+    if given:
+        raise ValueError(f"{key}: the first claim is a bound from {side}; remove this key, or give {instead}")
+
+
+def _first_sense(config: CampaignKeys) -> Sense:
+    """Return the side of the first claim, that of a minimum or of a maximum."""
+    composed = composed_claims(config.claims)
+    rule, name = (composed[0].rule, composed[0].problems[0]) if composed else (config.composition, None)
+    if rule != "single":  # about a robustness risk
+        return "min"
+    problem = next((each for each in config.problems if each.name == name), config.problems[0])
+    return config.sense_of(problem)
 
 
 def _check_clip_order(config: CampaignKeys) -> None:

@@ -80,13 +80,13 @@ class CampaignKeys(CampaignSize):
     required_margin: float = Field(
         default=0.0,
         exclude_if=lambda margin: margin == 0,
-        description="for the verdict: least margin that the first claim has to show",
+        description="for the verdict, if the first claim is a bound from below: least margin that it has to show",
     )
     required_at_most: float | None = Field(
         default=None,
         exclude_if=lambda value: value is None,
-        description="for the verdict, if the first claim is a bound from above: largest acceptable value; without it "
-        "such a claim is never `SHOWN`",
+        description="for the verdict, if the first claim is a bound from above, as of a failure probability: largest "
+        "acceptable value; without it such a claim is never `SHOWN`",
     )
     required_probability: float | None = Field(
         default=None,

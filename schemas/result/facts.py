@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from .. import __version__
 from ..base import canonical_json, digest
-from ..errors import JournalError, shortened
+from ..errors import OtherVersionError, shortened
 from ..file.config import CampaignConfig
 from ..file.objectives import rolled_out
 from ..file.parameters import signal_shapes
@@ -31,12 +31,12 @@ def check_rules(rules: int, software: Mapping[str, object], place: str) -> int:
     """Return `rules` if this perfbound follows them.
 
     Raises:
-        JournalError: it does not; the message names `place`, and the perfbound of `software` that does.
+        OtherVersionError: it does not; the message names `place`, and the perfbound of `software` that does.
 
     """
     if rules != RULES:
         wrote = shortened(str(software.get("perfbound")), 40)
-        raise JournalError(
+        raise OtherVersionError(
             f"{place}: the campaign follows rules {rules!r}, this perfbound {__version__} rules {RULES}; use the "
             f"perfbound that began it ({wrote})"
         )

@@ -118,9 +118,9 @@ def cost(header: Header, plans: Mapping[str, ProblemPlan]) -> list[str]:
         starts = header.config.spot_check
         least = spot.count(starts)
         more = spot.count(spot.max_tests) - least
-        followups = f" and at most {more} that follow up" if more else ""
+        followups = f" and at most {more:,} that follow up" if more else ""
         unless = " (not after a counterexample)" if header.config.until_counterexample else ""
-        parts.append(f"a spot check of {starts} starts with {least} rollouts{followups}{unless}")
+        parts.append(f"a spot check of {starts:,} starts with {least:,} rollouts{followups}{unless}")
     if Recheck.wanted(header):
-        parts.append(f"a recheck of at most {header.config.recheck} rollouts")
+        parts.append(f"a recheck of at most {header.config.recheck:,} rollouts")
     return [f"after the problems: {', '.join(parts)}"] if parts else []

@@ -446,8 +446,18 @@ def _own_sentence(found: Assumption) -> str | None:
 
 
 def _sentence(form: str, status: Status, values: Mapping[str, float | int | str]) -> str:
-    words = {key: f"{value:.{SIGNIFICANT}g}" if isinstance(value, float) else value for key, value in values.items()}
-    return SENTENCES[form][status].format(**words)
+    return SENTENCES[form][status].format(**{key: value_text(value) for key, value in values.items()})
+
+
+def value_text(value: object) -> str:
+    """Return a value of an assumption as it stands in a sentence.
+
+    >>> value_text(100_000), value_text(0.0123456789), value_text("a.0.nominal.0")
+    ('100,000', '0.0123457', 'a.0.nominal.0')
+    """
+    if isinstance(value, float):
+        return f"{value:.{SIGNIFICANT}g}"
+    return f"{value:,}" if isinstance(value, int) else str(value)
 
 
 def _rounded(value: float | int | str) -> float | int | str:

@@ -2,13 +2,14 @@
 
 from pathlib import Path
 
+from ....schemas.amounts import counted
 from ....schemas.errors import SignatureError
 from ....schemas.result.attempt_record import MAX_RECORD, TABLES, AttemptRecord
 from ...store.attempt_record import table_digests
 from ...store.files import contents
 from .. import files
 from ..signing import keys, sign
-from .checks import CheckFailed, Checks, plural
+from .checks import CheckFailed, Checks
 from .manifest import sha256_of
 
 CHECK = "attempts"
@@ -42,7 +43,7 @@ def check_attempts(directory: Path, certificate: bytes, key: Path | None, checks
             raise CheckFailed(CHECK, f"table {name}: {wanted[name].rows - here.rows} of {wanted[name].rows} are gone")
         if here != wanted[name]:
             raise CheckFailed(CHECK, f"table {name}: its rows are not those of {files.ATTEMPTS}")
-    checks.passed(CHECK, ", ".join(plural(wanted[name].rows, name.removesuffix("s")) for name in TABLES[:2]))
+    checks.passed(CHECK, ", ".join(counted(wanted[name].rows, name.removesuffix("s")) for name in TABLES[:2]))
 
 
 def _text(directory: Path, key: Path | None) -> bytes | None:

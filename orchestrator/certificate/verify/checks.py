@@ -128,8 +128,3 @@ class Checks:
     def good(self) -> bool:
         """Whether no check failed."""
         return all(check.status != "failed" for check in self.found.values())
-
-
-def plural(number: int, noun: str) -> str:
-    """Return a number with its noun, for the detail of a check."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"

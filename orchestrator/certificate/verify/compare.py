@@ -99,7 +99,7 @@ def tables(header: Header, recomputed: Iterable[StoredFact], stored: UntrustedFa
             ):
                 return "table extensions: it is empty, the evidence has more tests than the budget", ""
             continue
-        compared.append(f"{len(rows)} {name}")
+        compared.append(f"{sum(map(_number, rows)):,} {name}")
         fault = _table(header, name, derived, rows)
         if fault:
             return fault, ""
@@ -159,6 +159,17 @@ def _observed(derived: Mapping[object, StoredFact], rollout: RolloutId) -> bool:
 
 def _by_key(facts: Iterable[StoredFact]) -> dict[object, StoredFact]:
     return {(type(fact), _label(fact)): fact for fact in facts}
+
+
+def _number(fact: StoredFact) -> int:
+    """Return for how many tests or rollouts a row stands."""
+    match fact:
+        case BatchFact(failures=failures):
+            return len(fact) - len(failures)
+        case BlockProposalFact() | BlockObservationFact():
+            return len(fact)
+        case _:
+            return 1
 
 
 def _label(fact: StoredFact) -> str:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from ....schemas.amounts import counted
 from ....schemas.errors import PerfboundError
 from ....schemas.result.certificate import Certificate
 from ...store import files as evidence
@@ -81,5 +82,5 @@ def parsed(text: bytes, checks: Checks) -> Certificate:
         if found.to_json().encode() != text:
             raise CheckFailed("certificate", "its bytes are not those that perfbound writes: it was edited")
     claims = len(found.predicate.claims)
-    checks.passed("certificate", f"{claims} claim{'' if claims == 1 else 's'}")
+    checks.passed("certificate", counted(claims, "claim"))
     return found

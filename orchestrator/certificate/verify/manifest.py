@@ -82,7 +82,7 @@ def check_files(directory: Path, entries: Collection[Entry], progress: Callable[
         progress(number)
     if faults:
         more = f"; and {len(faults) - SHOWN} more" if len(faults) > SHOWN else ""
-        raise CheckFailed("files", f"{len(faults)} of {len(entries)}: {'; '.join(faults[:SHOWN])}{more}")
+        raise CheckFailed("files", f"{len(faults):,} of {len(entries):,}: {'; '.join(faults[:SHOWN])}{more}")
 
 
 def sha256_of(data: bytes) -> str:

@@ -58,7 +58,7 @@ def _beyond_round_off(text: str, ledger: Ledger, recorded: CertifiedRegions) -> 
     assert strict is not None
     assert lax is not None
     if len(boxes.low) != recorded.boxes:
-        return f"{files.REGIONS} has {len(boxes.low)} boxes, the certificate counts {recorded.boxes}"
+        return f"{files.REGIONS} has {len(boxes.low):,} boxes, the certificate counts {recorded.boxes:,}"
     for status, name in enumerate(STATUSES):
         share, written = boxes.of(status), recorded.model_dump()[name]
         if abs(share - written) > SAME:

@@ -3,6 +3,7 @@
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
+from ....schemas.amounts import counted
 from ....schemas.file.parts import parts_of
 from ....schemas.result.certificate import Assumption, Certificate
 from ....schemas.result.facts import Header
@@ -10,7 +11,7 @@ from ...campaign.ledger import observed_discards
 from ..assumptions.sentences import is_in_its_words, is_worded_here
 from ..issue import issue, manifest
 from . import compare
-from .checks import ABSENT, plural
+from .checks import ABSENT
 from .compare import ROUND_OFF
 from .rerun import Rerun
 
@@ -30,8 +31,8 @@ def compared(header: Header, reissued: Certificate, certificate: Certificate) ->
     problems, claims = len(recomputed["problems"]), len(recomputed["claims"])
     composition = recomputed["composition"]
     spot_check, recheck = recomputed["spot_check"], recomputed["recheck"]
-    starts = ABSENT["spot check"] if spot_check is None else plural(spot_check["starts"], "start")
-    repeated = ABSENT["recheck"] if recheck is None else plural(recheck["rollouts"], "rollout")
+    starts = ABSENT["spot check"] if spot_check is None else counted(spot_check["starts"], "start")
+    repeated = ABSENT["recheck"] if recheck is None else counted(recheck["rollouts"], "rollout")
     rule = ABSENT["composition"] if composition is None else f"rule {composition['rule']}"
     for name, part, tolerance, detail in (
         # Parameters were fixed beforehand, so they are equal; only computed numbers have a tolerance.

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ....schemas.amounts import counted
 from ....schemas.batch import BatchRequest, file_of
 from ....schemas.errors import EvidenceError, IllegalEvent, PerfboundError, RequestError, TrajectoryError
 from ....schemas.ids import FileId, RolloutId
@@ -139,7 +140,7 @@ class Rerun:
         return [(fact.sha256, fact.path) for fact in found]
 
     def play(self, progress: Callable[[int], None]) -> None:
-        """Decide the whole campaign; `progress` is called with the number of rollouts admitted.
+        """Decide the whole campaign; `progress` is called with the number of files admitted.
 
         Raises:
             CheckFailed: the evidence is not that of this campaign.
@@ -172,8 +173,8 @@ class Rerun:
             mine = (file for file in self._entries if file.rollout.problem == each.plan.problem)
             listed = sum(file.places or 1 for file in mine)
             if listed < len(each.plan.rollouts):
-                wanted = f"{len(each.plan.rollouts)} rollouts a test"
-                raise CheckFailed("evidence", f"{each.plan.problem} needs {wanted}, the manifest lists {listed}")
+                wanted = f"{len(each.plan.rollouts):,} rollouts a test"
+                raise CheckFailed("evidence", f"{each.plan.problem} needs {wanted}, the manifest lists {listed:,}")
 
     def _extend(self, missing: Sequence[RolloutId]) -> Sequence[RolloutId]:
         """Extend the campaign, which has to be done, as the certificate lists it."""
@@ -297,4 +298,4 @@ class Rerun:
         extra: list[object] = [file for file in self._entries if file not in used]
         extra += [each.rollout for each in self._discards]
         if extra:
-            raise CheckFailed("evidence", f"{len(extra)} rollouts belong to no observed test: {extra[0]}")
+            raise CheckFailed("evidence", f"{counted(len(extra), 'file')} of no observed test: {extra[0]}")

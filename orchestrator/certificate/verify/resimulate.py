@@ -49,7 +49,7 @@ class Repetition:
 
 @dataclass(frozen=True, slots=True)
 class Resimulation:
-    """One rollout that was simulated again, compared with its recorded trajectory."""
+    """One rollout or batch that was simulated again, compared with its recorded trajectory."""
 
     file: FileId
     bitwise: bool
@@ -58,7 +58,7 @@ class Resimulation:
 
 
 def resimulate(wanted: Repetition, count: int, progress: Callable[[int], None]) -> tuple[Resimulation, ...]:
-    """Simulate `count` rollouts again, chosen at random after the evidence is fixed.
+    """Simulate `count` rollouts or batches again, chosen at random after the evidence is fixed.
 
     Raises:
         CheckFailed: one gives another trajectory.
@@ -153,14 +153,16 @@ def _sample_difference(a: Trajectory, b: Trajectory) -> float:
 
 
 def finding(again: tuple[Resimulation, ...], total: int) -> str:
-    """Return the finding for `workers_honest`, as a sentence."""
+    """Return the finding for `workers_honest`, as a sentence; `total` are the files of the evidence."""
     count = len(again)
+    # A batch is drawn and simulated as a whole: so many of its rollouts would not be a sample of so many.
+    what = "files" if any(each.file.places for each in again) else "rollouts"
     same = sum(each.bitwise for each in again)
-    how = "bitwise the same" if same == count else f"{same} bitwise the same, the others within {TOLERANCE:g}"
+    how = "bitwise the same" if same == count else f"{same:,} bitwise the same, the others within {TOLERANCE:g}"
     if count == total:
-        return f"all {total} rollouts, {how}: workers_honest is checked"
+        return f"all {total:,} {what}, {how}: workers_honest is checked"
     percent = math.ceil(1000 * unseen_share(count, 0.05)) / 10
     return (
-        f"{count} of {total} rollouts, {how}: workers_honest is sampled; if more than {percent:g} % were false, "
+        f"{count:,} of {total:,} {what}, {how}: workers_honest is sampled; if more than {percent:g} % were false, "
         "this check would fail with probability at least .95"
     )

@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 
 from ....schemas import __version__
+from ....schemas.amounts import counted
 from ....schemas.batch import BatchRequest
 from ....schemas.errors import JournalError, Stopped
 from ....schemas.ids import FileId, RolloutId
@@ -32,7 +33,7 @@ from ..assumptions.opinions import admitted_rollouts
 from ..issue import manifest, question, subject
 from . import compare
 from .attempts import check_attempts
-from .checks import CheckFailed, Checks, plural
+from .checks import CheckFailed, Checks
 from .discards import discarded
 from .input import VerificationInput, parsed, signed_text
 from .manifest import Entry, check_files, parse_manifest, sha256_of, split_manifest
@@ -76,7 +77,7 @@ class Verification:
 
 @dataclass(frozen=True, slots=True)
 class Again:
-    """Rollouts that are simulated again; `system` is FILE.py:NAME of a system in a file, which no certificate names."""
+    """How many rollouts or batches are simulated again; `system` is FILE.py:NAME of one that no certificate names."""
 
     rollouts: int
     system: str | None = None
@@ -85,7 +86,7 @@ class Again:
 def verify_certificate(
     path: Path, *, key: Path | None, again: int, report: Report, system: str | None = None
 ) -> Verification:
-    """Verify the certificate in `path`; `again` rollouts are simulated again, by `system` if it is one in a file.
+    """Verify the certificate in `path`; `again` rollouts or batches are simulated again, by `system` if it is a file's.
 
     Raises:
         PerfboundError: there is no certificate, or the key cannot be read.
@@ -130,12 +131,12 @@ def _evidence(
     # Digests before contents: from here on every file is the one that the certificate names.
     every = [*entries.values(), *(entry for _, entry in kept)]
     check_files(directory, every, lambda done: report("digests", done, len(every)))
-    checks.passed("files", plural(len(every), "file"))
+    checks.passed("files", counted(len(every), "file"))
     with checks.making("observations"):
         rerun = Rerun(directory, header, entries, discards, extended(certificate))
         rerun.play(lambda done: report("campaign", done, len(entries)))
     # The rerun reached its end, so the checks inside it passed.
-    _campaign(rerun, text, certificate, checks)
+    _campaign(rerun, text, len(entries), certificate, checks)
     same_numerics = _software(header, checks)
     stored = _stored(directory, checks)
     if stored is not None:
@@ -204,32 +205,32 @@ def _manifest(
     text = data.decode()
     observed, kept = split_manifest(text)
     entries = parse_manifest(observed)
-    checks.passed("manifest", f"{plural(len(entries) + len(kept), 'file')}, sha256 {found[:16]}...")
+    checks.passed("manifest", f"{counted(len(entries) + len(kept), 'file')}, sha256 {found[:16]}...")
     return text, entries, kept
 
 
-def _campaign(rerun: Rerun, text: str, certificate: Certificate, checks: Checks) -> None:
+def _campaign(rerun: Rerun, text: str, files_read: int, certificate: Certificate, checks: Checks) -> None:
     tests = sum(len(each.observations) for each in rerun.ledger.series.values())
     accounts = rerun.ledger.series
     ends = ", ".join(f"{name}: {a.last_bound.stopped_by}" for name, a in accounts.items() if a.last_bound)
-    ends += "".join(f"; extended to {max(tests for _, tests in each.budgets)}" for each in rerun.ledger.extensions)
+    ends += "".join(f"; extended to {max(tests for _, tests in each.budgets):,}" for each in rerun.ledger.extensions)
     count = sum(sum(account.counts.values()) for account in accounts.values())
-    checks.passed("requests", plural(count, "rollout"))
-    checks.passed("trajectories", plural(count, "file"))
-    ties = f", {rerun.ties} of them one of several within 1e-9" if rerun.ties else ""
-    checks.passed("proposals", f"{plural(tests, 'test')}{ties}")
-    checks.passed("observations", plural(tests, "test"))
+    checks.passed("requests", counted(count, "rollout"))
+    checks.passed("trajectories", counted(files_read, "file"))
+    ties = f", {rerun.ties:,} of them one of several within 1e-9" if rerun.ties else ""
+    checks.passed("proposals", f"{counted(tests, 'test')}{ties}")
+    checks.passed("observations", counted(tests, "test"))
     checks.passed("stop", ends)
-    checks.judge("evidence", _complete(rerun, text, certificate), plural(count, "rollout"))
+    checks.judge("evidence", _complete(rerun, text, certificate), counted(count, "rollout"))
 
 
 def _complete(rerun: Rerun, text: str, certificate: Certificate) -> str | None:
     expected = manifest(rerun.observed(), observed_discards(rerun.ledger))
-    counted = certificate.predicate.evidence.rollouts
+    listed = certificate.predicate.evidence.rollouts
     if expected.text != text:
         return "the lines of the manifest are not in the order of problems, tests and rollouts"
     rollouts = observed_rollouts(rerun.ledger)
-    return None if rollouts == counted else f"the certificate counts {counted} rollouts, the evidence has {rollouts}"
+    return None if rollouts == listed else f"the certificate counts {listed:,} rollouts, the evidence has {rollouts:,}"
 
 
 def _stored(directory: Path, checks: Checks) -> UntrustedFacts | None:

@@ -11,6 +11,7 @@ from ....schemas.result.certificate import CertificateClaim, Predicate, ProblemR
 from ....schemas.result.known import Violations
 from ....schemas.values import ProblemProgress
 from ...forecast.needed_tests import FOR_A_FORECAST, FURTHEST, NeededTests, needed_samples, needed_tests
+from .bound_text import as_required
 
 Progress = Callable[[], Sequence[ProblemProgress]]
 MORE = "More tests: a larger `max_tests` in a new campaign."
@@ -82,9 +83,9 @@ def for_the_probability(config: CampaignConfig, claim: CertificateClaim, require
     smaller = "a smaller `delta`, or a larger `c`" if claim.method == "paper" else "a smaller `delta`"
     if config.required_probability is not None:
         return f"{smaller[0].upper()}{smaller[1:]}; or a smaller `required_probability`, if that is enough."
-    enough = math.floor(100 * claim.probability) / 100
+    enough, wanted = math.floor(100 * claim.probability) / 100, as_required(required)
     return (
-        f"`required_probability = {enough:g}`, if that is enough; or `required_probability = {required:g}` and "
+        f"`required_probability = {enough:g}`, if that is enough; or `required_probability = {wanted}` and "
         f"{smaller}. Without this key 1 - delta is required, so that a smaller `delta` alone asks for more."
     )
 
@@ -152,7 +153,7 @@ def _more_tests(short: ShortBound, result: ProblemResult, problem: Problem) -> s
         more = max(FEWEST_TIMES * found.tests, FOR_A_FORECAST)
         return (
             f"More tests: `{short.commands.resume} --max-tests {more}` continues this campaign; "
-            f"{found.tests} are too few to forecast how many would do."
+            f"{found.tests:,} are too few to forecast how many would do."
         )
     return _forecast_words(short, found, needed_tests(found, limit))
 
@@ -192,13 +193,13 @@ def _forecast_words(short: ShortBound, found: ProblemProgress, needed: NeededTes
         )
     if needed.probable is None or needed.high is None:
         return (
-            f"More tests may do, {_about(needed.low)} at least: `{short.commands.resume} --max-tests "
+            f"More tests may do, {_about(needed.low):,} at least: `{short.commands.resume} --max-tests "
             f"{2 * found.tests}` continues this campaign, and the course of the bound then shows whether they will."
         )
     high = _about(needed.high)
     return (
-        f"About {_about(needed.probable)} more test{'' if needed.probable == 1 else 's'} "
-        f"({_about(needed.low)} to {high}): "
+        f"About {_about(needed.probable):,} more test{'' if needed.probable == 1 else 's'} "
+        f"({_about(needed.low):,} to {high:,}): "
         f"`{short.commands.resume} --max-tests {found.tests + high}` continues this campaign, "
         "and its bound stays valid."
     )
@@ -220,7 +221,7 @@ def _more_samples(short: ShortBound) -> str:
     failed, samples = short.failed_samples(), claim.samples or problem.tests
     needed = needed_samples(samples, failed, short.required, 1.0 - claim.probability)
     if needed is None:
-        share = f"{failed} of {samples} samples violate the specification"
-        return f"More samples will hardly do: {share}, and the required share is {short.required:g}."
+        share = f"{failed:,} of {samples:,} samples violate the specification"
+        return f"More samples will hardly do: {share}, and the required share is {as_required(short.required)}."
     rate = "none of them violates" if not failed else "as large a share of them violates"
-    return f"About {_about(needed)} samples in a new campaign with another seed, if {rate} the specification."
+    return f"About {_about(needed):,} samples in a new campaign with another seed, if {rate} the specification."

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence, Sized
+from decimal import Decimal
 
 from ....schemas.errors import one_line
 from ....schemas.file.drawn_claims import PROBABILITIES
@@ -9,23 +10,47 @@ from ....schemas.result.certificate import Assumption, Certificate, CertificateC
 from ....schemas.system import SystemSpec
 
 DIGITS = 4
-"""After the point, of every printed number."""
+"""After the point, of every printed number but a small one."""
+SIGNIFICANT = 3
+"""Of a bound, or of its distance from 1, that four digits after the point would leave with fewer than two."""
+SMALLEST = 1e-10
+"""What is closer to 0 or 1 is taken for it: the last bits of a float."""
 
 
 def outward(bound: float, sense: str) -> str:
-    """Return a bound with four digits that is no stronger than `bound`.
+    """Return a bound that is no stronger than `bound`: with four digits after the point, with more next to 0 or 1.
 
-    >>> outward(0.00019, ">="), outward(-0.00011, ">="), outward(0.00011, "<="), outward(1e305, ">=")
-    ('0.0001', '-0.0002', '0.0002', '1e+305')
+    >>> outward(0.12341, ">="), outward(-0.12341, ">="), outward(0.12341, "<="), outward(1e305, ">=")
+    ('0.1234', '-0.1235', '0.1235', '1e+305')
+    >>> outward(1e-5, "<="), outward(1.2345e-5, "<="), outward(0.9999912, ">="), outward(1.0, ">=")
+    ('0.00001', '0.0000124', '0.9999912', '1.0000')
     """
-    scaled = bound * 10**DIGITS
+    digits = _digits(bound)
+    scaled = bound * 10**digits
     if not math.isfinite(scaled):  # a number of a file that nobody has checked yet
         return f"{bound:g}"
     nearest = round(scaled)
-    # A bound that has four digits, but for the last bits of a float, keeps them.
-    if not math.isclose(scaled, nearest, rel_tol=0, abs_tol=1e-6):
+    # A bound that has so many digits, but for the last bits of a float, keeps them.
+    if not math.isclose(scaled, nearest, rel_tol=0, abs_tol=max(1e-6, 2 * math.ulp(scaled))):
         nearest = math.floor(scaled) if sense == ">=" else math.ceil(scaled)
-    return f"{nearest / 10**DIGITS:.{DIGITS}f}"
+    whole, _, after = f"{nearest / 10**digits:.{digits}f}".partition(".")
+    return f"{whole}.{after.rstrip('0').ljust(DIGITS, '0')}"
+
+
+def _digits(bound: float) -> int:
+    """Return the digits after the point of a bound: a claim of 0.0001 would hide one of 0.00001."""
+    distance = min(abs(bound), abs(1.0 - bound))
+    return SIGNIFICANT - 1 - math.floor(math.log10(distance)) if SMALLEST < distance < 10 / 10**DIGITS else DIGITS
+
+
+def as_required(number: float) -> str:
+    """Return a number of the campaign file that a bound is compared with, in digits like those of the bound.
+
+    >>> as_required(1e-5), as_required(0.25), as_required(0.0), as_required(1e20)
+    ('0.00001', '0.25', '0', '1e+20')
+    """
+    text = f"{number:.12g}"
+    return f"{Decimal(text):f}" if SMALLEST < abs(number) < 1 else text
 
 
 def in_unit(text: str, unit: str) -> str:

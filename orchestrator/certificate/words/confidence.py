@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 
+from ....schemas.amounts import counted
 from ....schemas.errors import one_line
 from ....schemas.file.objectives import Quantity
 from ....schemas.result.certificate import CertificateClaim, MostStarts, Predicate, Sensitivity
@@ -31,7 +32,7 @@ def confidence_sentences(verdict: CampaignVerdict, predicate: Predicate, *, repe
     claim = predicate.claims[0]
     if claim.refuted:
         number = len(claim.assumptions)
-        its = f"{number} assumption{'' if number == 1 else 's'}"
+        its = counted(number, "assumption")
         yield f"Not at all: the campaign refutes {len(claim.refuted)} of its {its}."
     # The bound from the other side shows a violation with the probability of the claim, however weak its own bound is.
     elif not claim.vacuous or verdict.verdict == "VIOLATED":

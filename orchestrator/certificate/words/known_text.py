@@ -9,10 +9,11 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from ....schemas.amounts import counted
 from ....schemas.errors import one_line
 from ....schemas.result.certificate import Assumption
 from ....schemas.result.known import CampaignVerdict, Expected, SoFar, Span, VerdictWord, Violations
-from .bound_text import in_unit, outward
+from .bound_text import as_required, in_unit, outward
 from .format import duration
 from .refutation_text import margin_words
 
@@ -103,8 +104,7 @@ def violations_so_far(found: SoFar) -> str:
 
 def so_far_line(found: SoFar) -> str:
     """Return both rows in one line."""
-    now, end = holding_rows(found)
-    tests = "1 test" if found.tests == 1 else f"{found.tests:,} tests"
+    (now, end), tests = holding_rows(found), counted(found.tests, "test")
     return (
         f"if it ended now: {found.verdict} ({now.bound}, {tests}); expected at the end: {end.bound}, "
         f"{end.verdict}; {bar_words(found.expected)}"
@@ -157,7 +157,7 @@ def first_bound(found: CampaignVerdict) -> str:
 
 def required_bound(found: CampaignVerdict) -> str:
     """Return what the file requires of it; empty where that is nothing."""
-    return "" if found.required is None else f"{found.sense} {found.required:g} {found.bound_unit}".rstrip()
+    return "" if found.required is None else f"{found.sense} {as_required(found.required)} {found.bound_unit}".rstrip()
 
 
 def violations_in_words(seen: Violations) -> str:

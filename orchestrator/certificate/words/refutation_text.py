@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
+from ....schemas.amounts import counted
 from ....schemas.result.certificate import Counterexample, RiskAtStart
 from ..assumptions.sentences import statement
 from .bound_text import DIGITS, in_unit
@@ -45,10 +46,10 @@ wrong that an observation is right on average (centred_noise of true_risk).'
 def risk_sentence(subject: str, at_start: RiskAtStart, risk: str, limit: str) -> str:
     """Return whether the risk at a start is below a bound that is refuted there, with the rounded bounds of both."""
     if at_start.status == "below":
-        shown = f"at most {risk}, below the bound {limit}, by {at_start.rollouts} further rollouts"
+        shown = f"at most {risk}, below the bound {limit}, by {at_start.rollouts:,} further rollouts"
         return f"{subject}: {shown}: the claim is false."
     open_question = f"whether the risk itself is below the bound {limit}"
-    rollouts = f"{at_start.rollouts} further rollouts (it is at most {risk})"
+    rollouts = f"{at_start.rollouts:,} further rollouts (it is at most {risk})"
     return f"{subject}: the claim has lost its grounds; {open_question} is not decided by {rollouts}."
 
 
@@ -75,7 +76,7 @@ def _listed(refuted: Sequence[str]) -> str:
 def counterexample_words(found: Counterexample, unit: str, units: Mapping[str, str] | None = None) -> str:
     """Return what a counterexample is; `unit` is that of the robustness, `units` those of the parameters."""
     start = named_start(found.start, units)
-    others = f", the worst of its {found.rollouts} rollouts" if found.rollouts > 1 else ""
+    others = f", the worst of its {found.rollouts:,} rollouts" if found.rollouts > 1 else ""
     margin = margin_words(found.robustness, unit)
     words = f"test {found.test} violates the specification: robustness {margin} at {start}, seed {found.seed}"
     return f"{words} (rollout {found.rollout}{others}){_shrunk_words(found, unit, units)}"
@@ -86,7 +87,7 @@ def _shrunk_words(found: Counterexample, unit: str, units: Mapping[str, str] | N
     near = found.shrunk
     if near is None:
         return ""
-    tried = f"{near.rollouts} rollout{'' if near.rollouts == 1 else 's'} towards {named_start(near.nominal, units)}"
+    tried = f"{counted(near.rollouts, 'rollout')} towards {named_start(near.nominal, units)}"
     if near.rollout == found.rollout:
         return f"; after {tried} no start that was tried on the line there fails"
     where = (

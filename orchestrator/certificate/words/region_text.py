@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 from ....schemas.file.objectives import Quantity
 from ....schemas.result.certificate import CertifiedRegions, Predicate
-from .bound_text import clip_words
+from .bound_text import clip_words, outward
 
 SUBJECTS: Mapping[Quantity, str] = {
     "robustness": "robustness",
@@ -61,7 +61,7 @@ def _subject(predicate: Predicate) -> str:
 def _chance(probability: float) -> str:
     if probability == 1.0:
         return "with certainty, given the assumptions"
-    return f"with probability at least {math.floor(probability * 1e4) / 1e4:.4f}"
+    return f"with probability at least {outward(probability, '>=')}"
 
 
 def _fresh_starts(found: CertifiedRegions) -> tuple[str, ...]:
@@ -69,7 +69,9 @@ def _fresh_starts(found: CertifiedRegions) -> tuple[str, ...]:
         return ()
     verdict = "REFUTED: " if found.contradicted else ""
     verb = "has" if found.contradicted == 1 else "have"
-    return (f"{verdict}{found.contradicted} of {found.checked} fresh starts in certified boxes {verb} another sign.",)
+    return (
+        f"{verdict}{found.contradicted:,} of {found.checked:,} fresh starts in certified boxes {verb} another sign.",
+    )
 
 
 def unsafe_words(subject: str, found: CertifiedRegions) -> str:
@@ -78,8 +80,8 @@ def unsafe_words(subject: str, found: CertifiedRegions) -> str:
         return "No start can be certified unsafe: the expectation that bounds the risk never proves it negative."
     if found.unsafe_below == 0.0:
         return f"Unsafe: the {subject} is below 0 at every start of a box."
-    limit = math.floor(found.unsafe_below * 1e4) / 1e4
+    limit = outward(found.unsafe_below, ">=")
     return (
-        f"Unsafe: the expectation that bounds the risk is below {limit:.4f}, and so the risk below 0, at every start "
+        f"Unsafe: the expectation that bounds the risk is below {limit}, and so the risk below 0, at every start "
         "of a box."
     )

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from rich.console import Console
 from rich.text import Text
 
+from ....schemas.amounts import counted
 from ....schemas.file.composition import composes
 from ....schemas.file.drawn_claims import PROBABILITIES, is_sampled
 from ....schemas.file.objectives import OBJECTIVES, Quantity
@@ -25,8 +26,8 @@ from ....schemas.result.certificate import (
     SpotCheckedProblem,
 )
 from ...campaign.clip import SAME, floored, is_vacuous
-from ..assumptions.sentences import title
-from .bound_text import DIGITS, chance, clip_words, margin_text, outward, short_chance, start_words, with_named_starts
+from ..assumptions.sentences import title, value_text
+from .bound_text import chance, clip_words, margin_text, outward, short_chance, start_words, with_named_starts
 from .console_lines import hanging, heading, plain_line
 from .refutation_text import counterexample_words, refutation_sentence, risk_sentence
 from .region_text import region_sentences
@@ -92,7 +93,9 @@ def quantity_words(quantity: Quantity, starts: int | None, clip: Sequence[float]
     words = (QUANTITIES if starts is None else LISTED)[quantity]
     clipped = "" if clip is None else clip_words(clip)
     return words.format(
-        starts=starts, clipped=clipped and f", {clipped},", within=clipped and f" (robustness {clipped})"
+        starts=starts and f"{starts:,}",
+        clipped=clipped and f", {clipped},",
+        within=clipped and f" (robustness {clipped})",
     )
 
 
@@ -204,7 +207,7 @@ def other_claims(predicate: Predicate, unit: str, most: int) -> tuple[str, ...]:
         for claim in predicate.claims[1:]
     ]
     more = len(others) - most
-    return tuple(others) if more <= 0 else (*others[:most], f"{more} further claim{'s' if more > 1 else ''}")
+    return tuple(others) if more <= 0 else (*others[:most], counted(more, "further claim"))
 
 
 def _claim_heading(claim: CertificateClaim, unit: str) -> str:
@@ -251,7 +254,7 @@ def _hides_values(assumption: Assumption, claim: CertificateClaim) -> bool:
 
 def _sentence_on_clip(problem: str, found: Mapping[str, object]) -> str:
     # The file is anyone's: an edited one may lack a value.
-    hidden, number, low = (found.get(key, "?") for key in ("at_low", "values", "low"))
+    hidden, number, low = (value_text(found.get(key, "?")) for key in ("at_low", "values", "low"))
     return (
         f"The claim is about the clipped robustness: {hidden} of {number} values of {problem} are at the lower "
         f"clip {low}, so the robustness itself may be lower by any amount, its mean too."
@@ -327,7 +330,7 @@ def _validity(claim: CertificateClaim) -> str:
     """Return for which number of samples a claim about drawn starts holds; empty for every other claim."""
     if not is_sampled(claim.quantity):
         return ""
-    return "valid after every sample, " if claim.samples is None else f"{claim.samples} samples, fixed beforehand, "
+    return "valid after every sample, " if claim.samples is None else f"{claim.samples:,} samples, fixed beforehand, "
 
 
 def _composition(claim: CertificateClaim, composition: CompositionTerms, console: Console) -> None:
@@ -352,7 +355,7 @@ def _spot_sentences(
     if spot is None:
         return
     confidence = outward(1 - spot.level, ">=")
-    yield f"Spot check: {spot.starts} fresh starts, drawn uniformly after the campaign; confidence {confidence} each."
+    yield f"Spot check: {spot.starts:,} fresh starts, drawn uniformly after the campaign; confidence {confidence} each."
     for each in spot.problems:
         yield f"Bound of {each.key}: {_spot_finding(each, spot)}."
         if each.risk is not None:
@@ -363,7 +366,7 @@ def _spot_sentences(
     if spot.failures is not None and spot.failure_probability is not None:
         share = outward(spot.failure_probability, "<=")
         verb = "violates" if spot.failures == 1 else "violate"
-        violate = f"{spot.failures} of {spot.starts} rollouts at fresh starts {verb} the specification"
+        violate = f"{spot.failures:,} of {spot.starts:,} rollouts at fresh starts {verb} the specification"
         yield f"{violate}; at a uniform start a rollout does so with probability at most {share}."
 
 
@@ -374,24 +377,24 @@ def _spot_finding(found: SpotCheckedProblem, spot: SpotCheck) -> str:
         return "not tested, because nothing bounds its noise"
     if found.violated_share is not None:
         share, number = outward(100 * found.violated_share, "<="), found.violations
-        seen = f"{number} of {spot.starts} fresh starts {'is' if number == 1 else 'are'} beyond it"
+        seen = f"{number:,} of {spot.starts:,} fresh starts {'is' if number == 1 else 'are'} beyond it"
         if OBJECTIVES[found.name].risk:  # of which its value at a start is no bound
-            seen = f"at {number} of {spot.starts} fresh starts the function that bounds the risk is beyond it"
+            seen = f"at {number:,} of {spot.starts:,} fresh starts the function that bounds the risk is beyond it"
         return f"{refuted}{seen}; with this confidence at most {share} % of the box is"
-    left = f"; at {found.undecided} starts they are too few to tell" if found.undecided else ""
-    evidence = f"evidence against it {found.wealth or 0.0:.3g} after {found.rollouts} rollouts"
+    left = f"; at {found.undecided:,} starts they are too few to tell" if found.undecided else ""
+    evidence = f"evidence against it {found.wealth or 0.0:.3g} after {found.rollouts:,} rollouts"
     return f"{refuted}{evidence}; {1 / spot.level:g} would refute it{left}"
 
 
 def _recheck_sentences(recheck: Recheck | None) -> Iterator[str]:
     if recheck is not None:
-        yield f"Recheck: {recheck.agreed} of {recheck.rollouts} rollouts, simulated once more, agree bit by bit."
+        yield f"Recheck: {recheck.agreed:,} of {recheck.rollouts:,} rollouts, simulated once more, agree bit by bit."
 
 
 def _signed_term(term: float) -> str:
     """Return a term that is subtracted, with one sign, and rounded so that the sum claims no more."""
-    rounded = float(outward(term, "<="))
-    return f"{'-' if rounded >= 0 else '+'} {abs(rounded):.{DIGITS}f}"
+    rounded = outward(term, "<=")
+    return f"+ {rounded[1:]}" if rounded.startswith("-") else f"- {rounded}"
 
 
 def _problem(problem: ProblemResult, console: Console) -> None:
@@ -403,8 +406,8 @@ def _problem(problem: ProblemResult, console: Console) -> None:
     bound = outward(shown, sense)
     plain_line(console, f"    {problem.objective} {sense} {bound}{alone}, {short_chance(problem.probability)}")
     counts = ((problem.rollouts.nominal, "nominal"), (problem.rollouts.true, "true"))
-    rollouts = (" and ".join(f"{number} {variant}" for number, variant in counts if number) or "no") + " rollouts"
-    plain_line(console, f"    {problem.tests} tests with {rollouts}")
+    rollouts = (" and ".join(f"{number:,} {variant}" for number, variant in counts if number) or "no") + " rollouts"
+    plain_line(console, f"    {problem.tests:,} tests with {rollouts}")
     planned = problem.method in PLANNED and problem.stopped_by != "refuted"
     as_planned = problem.stopped_by == "converged" or planned
     plain_line(console, f"    {end}", "" if as_planned else "yellow")
@@ -433,4 +436,4 @@ def _left(problem: ProblemResult) -> str:
 
 
 def _count(assumptions: Sized) -> str:
-    return f"{len(assumptions)} assumption{'s' if len(assumptions) > 1 else ''}"
+    return counted(len(assumptions), "assumption")

@@ -140,7 +140,7 @@ class BudgetForecast:
         if self.vain:
             return f"Even {MOST} rollouts prove next to nothing beyond the constants; method rigorous may prove more."
         if self.doubling > little:
-            return f"{more}; {MOST} rollouts are the most that is proposed."
+            return f"{more}; {MOST:,} rollouts are the most that is proposed."
         return f"{more}, less than a {PARTS}th of all that rollouts can bring."
 
     def settled(self, constants: tuple[Constant, ...]) -> tuple[Constant, ...]:

@@ -212,7 +212,7 @@ def linearised_constants(shares: Floats, robustness: Floats) -> Constant:
     value = {"centre": rounded(centre, spread), "spread": rounded_up(spread)}
     reason = (
         f"Mean and standard deviation ({sd:.3g}) of the robustness at the {len(worst)} worst of "
-        f"{len(robustness)} starts, where the bound has to be sharp."
+        f"{len(robustness):,} starts, where the bound has to be sharp."
     )
     return Constant("linearised", value, reason, f"spread times {SPREAD_MARGIN:g}")
 
@@ -281,8 +281,8 @@ def _spread_constant(measured: ProblemEvidence) -> Constant:
         )
     worst = _worst_starts(measured.shares, -values)
     reason = (
-        f"Standard deviation of a rollout at the {len(worst)} worst of {len(values)} starts, where the bound has to be "
-        "sharp; no assumption."
+        f"Standard deviation of a rollout at the {len(worst)} worst of {len(values):,} starts, where the bound has to "
+        "be sharp; no assumption."
     )
     return Constant("spread", rounded_up(max(pooled(values[worst]), least)), reason)
 
@@ -399,9 +399,9 @@ def _outlier(measured: ProblemEvidence, choice: Choice) -> str:
 
 
 _DOUBTS = {
-    "few": lambda measured, _: f"{len(measured.values)} starts show no trend; give more --rollouts.",
+    "few": lambda measured, _: f"{len(measured.values):,} starts show no trend; give more --rollouts.",
     "equal": lambda measured, _: (
-        f"All {len(measured.values)} values are equal: neither a length scale nor a norm follows from them."
+        f"All {len(measured.values):,} values are equal: neither a length scale nor a norm follows from them."
     ),
     "jump": _jump,
     "rises": _rises,

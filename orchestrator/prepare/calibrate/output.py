@@ -103,14 +103,14 @@ def closing_lines(found: Calibration, folder: Path) -> Iterator[str]:
 
 
 def _tolerance_lines(guess: ToleranceForecast) -> Iterator[str]:
-    seconds = f"{guess.rollouts} rollouts in about {duration(guess.seconds)} with {guess.workers} workers at most"
+    seconds = f"{guess.rollouts:,} rollouts in about {duration(guess.seconds)} with {guess.workers} workers at most"
     if guess.tests is None:
         yield (
-            f": {len(guess.widths)} tests leave {guess.widths[-1]:.3g} between the bounds, and alpha = {guess.alpha} "
+            f": {len(guess.widths):,} tests leave {guess.widths[-1]:.3g} between the bounds, and alpha = {guess.alpha} "
             f"is out of reach; raise alpha, or accept the wider bound after {guess.budget} tests ({seconds})"
         )
     else:
-        yield f": alpha = {guess.alpha} after about {guess.tests} tests; {seconds}, closing checks included"
+        yield f": alpha = {guess.alpha} after about {guess.tests:,} tests; {seconds}, closing checks included"
 
 
 def _budget_lines(guess: BudgetForecast) -> Iterator[str]:
@@ -151,7 +151,7 @@ def _other_methods(found: Calibration) -> Iterator[str]:
         change = f"put it in place of {', '.join(unused)}" if unused else "add it"
         yield (
             f"{each.problem}: method kriging may be expected to prove {each.kriging.words(each.sign)} with "
-            f"{each.rollouts} rollouts, where rigorous proves {each.sign * each.default:.3g}; for a file with "
+            f"{each.rollouts:,} rollouts, where rigorous proves {each.sign * each.default:.3g}; for a file with "
             f'method = "kriging", {change} in a copy of {found.wish.campaign.name} and calibrate that'
         )
 

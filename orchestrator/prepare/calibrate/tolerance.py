@@ -55,7 +55,7 @@ class ToleranceForecast:
     def settled(self, constants: tuple[Constant, ...]) -> tuple[Constant, ...]:
         """Return the constants of the problem with the budget, and with the alpha that it reaches."""
         reason = (
-            f"What {len(self.widths)} tests leave between the bounds, by the forecast; a smaller one takes more than "
+            f"What {len(self.widths):,} tests leave between the bounds, by the forecast; a smaller one takes more than "
             f"{LARGEST_BUDGET} tests."
         )
         raised = (
@@ -70,7 +70,7 @@ class ToleranceForecast:
                 f"The forecast does not reach alpha in {LARGEST_BUDGET} tests; the bound is valid whenever they end."
             )
             return Constant("max_tests", self.budget, reason)
-        reason = f"The forecast reaches alpha after about {self.tests} tests, if every assumption holds."
+        reason = f"The forecast reaches alpha after about {self.tests:,} tests, if every assumption holds."
         return Constant("max_tests", self.budget, reason, f"factor {MARGIN:g}")
 
     @property

@@ -225,7 +225,7 @@ def _calibrated(
     rollouts = min(MOST_ROLLOUTS, int(SECONDS / each))
     if rollouts < FEWEST_ROLLOUTS:
         return _guesses(campaign, pilot, f"{FEWEST_ROLLOUTS} rollouts would take {duration(FEWEST_ROLLOUTS * each)}")
-    yield f"{campaign.spec.name}: {rollouts} rollouts for its constants, about {duration(rollouts * each)}"
+    yield f"{campaign.spec.name}: {rollouts:,} rollouts for its constants, about {duration(rollouts * each)}"
     try:
         workers = WORKERS if rollouts * each > WORTH else 1
         found = proposals(draft, system, Effort(rollouts, 1, workers), lambda *_: None, str(out))

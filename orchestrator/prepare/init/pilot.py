@@ -45,7 +45,7 @@ class Pilot:
     @property
     def size(self) -> str:
         """The number of rollouts and starts, in words."""
-        return f"{sum(each.size for each in self.scores.values())} rollouts at {len(self.starts)} starts"
+        return f"{sum(each.size for each in self.scores.values()):,} rollouts at {len(self.starts):,} starts"
 
 
 @dataclass(frozen=True, slots=True)

@@ -119,8 +119,8 @@ def _samples(campaign: "FirstCampaign") -> Iterator[str]:
     samples = campaign.size.max_tests
     slow = "" if campaign.cost is None or samples > FEW else f" A rollout takes about {campaign.cost:.2g} s."
     yield from toml_comment(
-        f"Number of samples, fixed beforehand. More of them give a sharper claim: without a violation, {samples} show "
-        f"at 95 % that at most {100 * (1 - 0.05 ** (1 / samples)):.2g} % fail.{slow}"
+        f"Number of samples, fixed beforehand. More of them give a sharper claim: without a violation, {samples:,} "
+        f"show at 95 % that at most {100 * (1 - 0.05 ** (1 / samples)):.2g} % fail.{slow}"
     )
     yield f"max_tests = {samples}"
 
@@ -218,11 +218,11 @@ def _fewer_rollouts(campaign: "FirstCampaign") -> str:
     slow = f" A rollout takes about {campaign.cost or 0.0:.2g} s, so this first campaign is small"
     quick = f"where rollouts are quick, `perfbound init` writes max_tests = {full.max_tests}"
     if size.replicates < full.replicates:
-        each = f"that is {full.max_tests} tests of {full.replicates} rollouts each"
+        each = f"that is {full.max_tests:,} tests of {full.replicates:,} rollouts each"
         if len(problems) > 1:  # those without noise have one rollout in each test, whatever it takes
             where = f" for {' and '.join(name for name in problems if name in campaign.noisy)}, {each}"
         else:
-            where = f", {each}: {full.max_tests * full.replicates} rollouts in place of {size.max_tests}"
+            where = f", {each}: {full.max_tests * full.replicates:,} rollouts in place of {size.max_tests:,}"
         return (
             f"{slow}: one rollout a test. More rollouts prove more: {quick} and replicates = {full.replicates}{where}."
         )

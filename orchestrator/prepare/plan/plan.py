@@ -136,7 +136,7 @@ def _check_sizes(header: Header, found: Plans, problems: Sequence[ProblemSize]) 
     spot = spot_check_plan(header, found.values())
     if spot is not None:
         starts, most = header.config.spot_check, spot.max_tests
-        words = f"{starts} starts, and follow-ups" if most > starts else f"{starts} starts"
+        words = f"{starts:,} starts, and follow-ups" if most > starts else f"{starts:,} starts"
         # In tests of one rollout: a follow-up has fewer of them than the first test at a start.
         low, high = spot.count(starts), spot.count(most)
         tests = Guess((low + high) / 2, low, high)

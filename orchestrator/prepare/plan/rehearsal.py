@@ -157,14 +157,14 @@ def expected_tests(plan: ProblemPlan, found: Rehearsal | None) -> tuple[Guess, s
     if found is None or found.verdict not in (None, "converged"):
         return Guess(most, 1, most), UNKNOWN
     if found.verdict is not None:
-        return _times_apart(found.tests, most), f"rehearsed: alpha after {found.tests}"
+        return _times_apart(found.tests, most), f"rehearsed: alpha after {found.tests:,}"
     if found.tests == most:
         return _times_apart(most, most), "rehearsed: the whole budget"
     ahead = ending(found.course, most=most, alpha=alpha)
     if ahead is None:
         return Guess(most, found.tests * FEWER, most), UNKNOWN
     low, high = max(1, ahead.low * FEWER), min(most, ahead.high * MORE)
-    return Guess(ahead.middle, low, high), f"forecast after {found.tests} rehearsed tests"
+    return Guess(ahead.middle, low, high), f"forecast after {found.tests:,} rehearsed tests"
 
 
 def _times_apart(tests: int, most: int) -> Guess:

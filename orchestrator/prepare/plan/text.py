@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from ....schemas.amounts import amount
+from ....schemas.amounts import amount, counted
 from ....schemas.values import Guess
 from ...certificate.words.format import duration
 from .fleet_need import FleetPlan, ProblemSize
@@ -19,7 +19,7 @@ Row = tuple[str, str, str, str]
 
 def print_plan(found: FleetPlan, name: str, console: Console) -> None:
     """Print the plan of a campaign."""
-    console.print(Text(f"{name} with {_with_noun(found.workers, 'worker')}", "bold"), soft_wrap=True)
+    console.print(Text(f"{name} with {counted(found.workers, 'worker')}", "bold"), soft_wrap=True)
     table = Table(box=None, pad_edge=False, header_style="bold")
     for title in ("", "expected", "range"):
         table.add_column(title, justify="left" if not title else "right", no_wrap=True)
@@ -47,7 +47,7 @@ def plan_rows(found: FleetPlan) -> list[Row]:
             "time",
             duration(found.seconds.middle),
             _range(found.seconds, duration),
-            f"{pilot.seconds:.2g} s a rollout, of {pilot.rollouts} here",
+            f"{pilot.seconds:.2g} s a rollout, of {pilot.rollouts:,} here",
         ),
         (
             "storage",
@@ -82,13 +82,13 @@ def plan_limits(found: FleetPlan) -> list[str]:
     """Return what limits the campaign."""
     useful = found.useful_workers
     result = [
-        f"While the problems run, at most {_with_noun(useful, 'rollout')} can run side by side: more workers than that "
+        f"While the problems run, at most {counted(useful, 'rollout')} can run side by side: more workers than that "
         "have nothing to do."
     ]
     if found.useful_in_checks > useful:
         result[0] += f" In the closing checks it is {found.useful_in_checks:,}."
     if found.workers > useful:
-        waiting = _with_noun(found.workers - useful, "worker")
+        waiting = counted(found.workers - useful, "worker")
         result.append(f"{waiting} of {found.workers:,} will wait: a larger `window` or `replicates` gives them work.")
     if found.load.limits:
         result.append(
@@ -119,7 +119,7 @@ def _second_opinion_rows(found: FleetPlan) -> list[Row]:
 
 
 def _size_row(size: ProblemSize) -> Row:
-    per_test = "" if size.per_test == 1 else f", {size.per_test} a test"
+    per_test = "" if size.per_test == 1 else f", {size.per_test:,} a test"
     return (
         f"  {size.name}",
         _whole_number(size.rollouts.middle),
@@ -143,7 +143,3 @@ def _rate(number: float) -> str:
 
 def _percent(share: float) -> str:
     return f"{100 * share:.0f} %" if share >= 0.01 else "below 1 %"
-
-
-def _with_noun(number: int, what: str) -> str:
-    return f"{number:,} {what}{'' if number == 1 else 's'}"

@@ -20,6 +20,7 @@ from ....schemas.file.problem_models import (
 from ....schemas.values import Bound
 from ...campaign.methods import ProblemMethod
 from ...campaign.plan import ProblemPlan
+from ...certificate.words.bound_text import outward
 from ...mathematics.gp.lattice import Lattice
 from ..data.page import Series, Surface
 from . import limits
@@ -66,7 +67,7 @@ def _meaning(problem: Problem, method: ProblemMethod) -> str:
             sigma = "variance" if problem.sigma == "variance" else "standard deviation"
             return (
                 f"μ ∓ β σ of Algorithm 1 at the nodes, σ read as the {sigma}; by its lemma J is within "
-                f"with probability at least {1 - problem.delta:g}"
+                f"{_likely(1.0 - problem.delta)}"
             )
         case RigorousProblem():
             return f"at all candidates at once {_likely(method.probability)}"
@@ -80,14 +81,14 @@ def _meaning(problem: Problem, method: ProblemMethod) -> str:
         case ScenarioProblem():
             mean = "linearised risk" if isinstance(problem.linearised, Linearised) else "robustness"
             return (
-                f"the lower bound of each start by itself with probability at least {1 - problem.delta:g}; the mean is "
+                f"the lower bound of each start by itself {_likely(1.0 - problem.delta)}; the mean is "
                 f"that of its {mean}; a start by itself has no upper bound"
             )
 
 
 def _likely(probability: float) -> str:
     # Certainty is that of a system without noise, and rests on the kernel all the same.
-    return f"with probability at least {probability:g}" if probability < 1.0 else "if its assumptions hold"
+    return f"with probability at least {outward(probability, '>=')}" if probability < 1.0 else "if its assumptions hold"
 
 
 class _Arrays(NamedTuple):

@@ -80,7 +80,7 @@ def _at_candidates(band: Band, plan: ProblemPlan, x: Floats) -> tuple[Floats, Fl
     if away.any():
         raise PerfboundError(
             f"x: {x[int(np.argmax(away))].tolist()} is no candidate; method {plan.problem.method!r} has the band of "
-            f"{plan.key} at the {len(nodes)} candidates alone; method 'rigorous' on a box has that of one "
+            f"{plan.key} at the {len(nodes):,} candidates alone; method 'rigorous' on a box has that of one "
             "specification everywhere"
         )
     mean, lower, upper = (np.array(values)[index] for values in (band.mean, band.lower, band.upper))

@@ -9,7 +9,7 @@ from ....schemas.result import certificate as document
 from ....schemas.result.facts import Header
 from ....schemas.result.known import CampaignVerdict
 from ...campaign.clip import hiding, is_vacuous, reach_of
-from ...certificate.words.bound_text import chance, clip_words, outward, parameter_units
+from ...certificate.words.bound_text import as_required, chance, clip_words, outward, parameter_units
 from ...certificate.words.confidence import anyway, confidence_sentences
 from ...certificate.words.known_text import violation_words
 from ...certificate.words.refutation_text import counterexample_words, refutation_sentence
@@ -148,10 +148,10 @@ def question_words(header: Header, quantity: Quantity | None, listed: int | None
         within, required = reach_of(config.formula, header.spec.after_end), config.required_margin
         clip = hiding(config.clip, within, reading, ">=", risk_weight=config.risk_weight, bound=required)
         clipped = "" if clip is None else f", {clip_words(clip)},"
-        least = f"{where}, {margin.format(risk=config.risk_weight)}{clipped} must be at least {required:g}{shown}"
-        return f"{least}. The margin of a rollout is its robustness: 0 is just met, and below 0 it violates."
+        least = f"{margin.format(risk=config.risk_weight)}{clipped} must be at least {as_required(required)}{shown}"
+        return f"{where}, {least}. The margin of a rollout is its robustness: 0 is just met, and below 0 it violates."
     if quantity == "failure_probability":
         limit = config.required_at_most
-        at_most = "is asked for, without a limit" if limit is None else f"must be at most {limit:g}"
+        at_most = "is asked for, without a limit" if limit is None else f"must be at most {as_required(limit)}"
         return f"{where}, the probability that a rollout violates it {at_most}."
     return ""

@@ -3,7 +3,7 @@
 from array import array
 from collections import deque
 from collections.abc import Container, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 
 from ....schemas.result.facts import NO_FAILURE, RECORDED
 from ...run.page.page_feed import LiveState
@@ -29,9 +29,7 @@ class _Totals:
     last: float | None = None
 
     def add(self, outcome: AttemptOutcome) -> None:
-        if outcome.outcome == RECORDED:
-            self.rollouts += 1
-        elif outcome.outcome not in NO_FAILURE:
+        if outcome.outcome not in (RECORDED, *NO_FAILURE):
             self.failures += 1
         self.busy_seconds += outcome.wall_seconds
         self.cpu_seconds += outcome.cpu_seconds
@@ -42,7 +40,7 @@ class _Totals:
 class WorkerStatistics:
     """Totals by worker, the times of all recorded results, and the latest failed attempts.
 
-    A result of a campaign in batches counts for as many rollouts as one has on average, as in `perfbound status`.
+    In rates and curves of a campaign in batches a result counts for as many rollouts as one has on average.
     """
 
     _totals: dict[str, _Totals] = field(default_factory=dict)
@@ -61,6 +59,8 @@ class WorkerStatistics:
         self._started = tuple(each.started for each in changes.sessions)
         self._in_batches = changes.header.config.batch > 1
         self._rollouts += sum(changes.rollouts.values())
+        for worker, number in changes.of_workers.items():
+            self._totals.setdefault(worker, _Totals()).rollouts += number
         for outcome in changes.outcomes:
             self._totals.setdefault(outcome.worker, _Totals()).add(outcome)
             if outcome.outcome == RECORDED:
@@ -87,12 +87,9 @@ class WorkerStatistics:
         return WorkerRow(
             name=name,
             host=self._hosts.get(name, ""),
-            **asdict(self._in_rollouts(self._totals.get(name, _Totals()))),
+            **asdict(self._totals.get(name, _Totals())),
             **live.get(name, LiveState("unknown"))._asdict(),
         )
-
-    def _in_rollouts(self, totals: _Totals) -> _Totals:
-        return replace(totals, rollouts=round(totals.rollouts * self._batch))
 
     @property
     def _batch(self) -> float:

@@ -1,9 +1,10 @@
 // Numbers, units and times as text.
 
-/** Four significant digits; a dash where there is no number. */
+/** Four significant digits, a small number without an exponent; a dash where there is no number. */
 function num(value, digits = 4) {
   if (value === null || value === undefined) return "\u2013";
   const size = Math.abs(value);
+  if (size > 1e-10 && size < 1e-4) return plainly(value, digits - 1 - Math.floor(Math.log10(size)));
   if (size !== 0 && (size < 1e-4 || size >= 1e7)) return value.toExponential(digits - 1);
   return String(Number(value.toPrecision(digits)));
 }
@@ -23,14 +24,22 @@ function withUnit(name, unit) {
   return short(name, 40) + (unitText(unit) && ` (${unitText(unit)})`);
 }
 
-/** Four decimals, rounded to the safe side: down for ">=", up for "<=". */
+/** Four decimals, more next to 0 or 1, rounded to the safe side: down for ">=", up for "<="; as `outward` of bound_text.py. */
 function outward(value, sense) {
   if (value === null || value === undefined) return num(value);
-  const scaled = value * 1e4;
+  const distance = Math.min(Math.abs(value), Math.abs(1 - value));
+  const digits = distance > 1e-10 && distance < 1e-3 ? 2 - Math.floor(Math.log10(distance)) : 4;
+  const scaled = value * 10 ** digits;
   const nearest = Math.round(scaled);
-  const exact = Math.abs(scaled - nearest) < 1e-6;
+  const exact = Math.abs(scaled - nearest) <= Math.max(1e-6, Math.abs(scaled) * 4e-16);
   const kept = exact ? nearest : sense === ">=" ? Math.floor(scaled) : Math.ceil(scaled);
-  return (kept / 1e4).toFixed(4);
+  return plainly(kept / 10 ** digits, digits);
+}
+
+/** A number with so many decimals at most, and four at least. */
+function plainly(value, digits) {
+  const [whole, after] = value.toFixed(digits).split(".");
+  return `${whole}.${after.replace(/0+$/, "").padEnd(4, "0")}`;
 }
 
 /** A bound with its unit, rounded to the safe side. */

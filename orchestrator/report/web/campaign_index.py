@@ -26,7 +26,7 @@ from ...store import lock
 from ...store.export_tables import robustness_unit
 from ...store.progress import read_progress
 from ...store.rows import DATABASE
-from ..listing import ListedCampaign, ListedState, read_campaign, run_directories
+from ..listing import ListedCampaign, ListedState, read_campaign, run_directories, unreadable
 
 MOST_CAMPAIGNS = 5000
 """Run directories that an index has; of more it has the first that it finds, and says so."""
@@ -263,12 +263,12 @@ def _finished_row(row: IndexRow, listed: ListedCampaign, found: CampaignVerdict)
 
 def _unfinished_row(row: IndexRow, listed: ListedCampaign) -> IndexRow:
     row = _listed_row(row, listed)
-    if listed.state == "damaged":
+    if listed.fault:
         return row
     try:
         progress = read_progress(listed.directory)
     except (PerfboundError, OSError) as error:
-        return replace(row, state="damaged", fault=shortened(str(error)))
+        return replace(row, state=unreadable(error), fault=shortened(str(error)))
     config = progress.header.config
     pairs = list(zip(config.problems, progress.problems, strict=True))
     return replace(

@@ -135,8 +135,8 @@ class Plain:
             distance = "" if alpha is None else f"{name} {figure(away)} (alpha {alpha:g}), "
             early = problem.bound_at_end and not end
             words = "with this budget the bound would be" if early and bound is not None else "bound so far"
-            shown = bound_text(config, problem, progress)
-            self.print_line(f"{problem.name}: test {progress.tests}, {distance}{words} {shown}{end}")
+            shown = bound_text(config, problem, bound)
+            self.print_line(f"{problem.name}: test {progress.tests:,}, {distance}{words} {shown}{end}")
             if problem.method == "paper" and not self._has_legend:
                 self._has_legend = True
                 self.print_line(LEGEND)
@@ -154,7 +154,7 @@ class Plain:
 
     def _check(self, name: str, progress: ProblemProgress) -> None:
         if self._json is None:
-            self.print_line(f"{name}: test {progress.tests}{'; ended' if progress.stopped_by else ''}")
+            self.print_line(f"{name}: test {progress.tests:,}{'; ended' if progress.stopped_by else ''}")
         else:
             event = "check ended" if progress.stopped_by else "progress of a check"
             self._json.line(event, check=name, tests=progress.tests, rollouts=progress.rollouts)
@@ -181,8 +181,8 @@ class SystemdStatus:
 
     def show(self, status: RunStatus) -> None:
         """Notify the watchdog, and send the counts if they have changed."""
-        tests = ", ".join(f"{name} {each.tests} tests" for name, each in status.problems.items())
-        self._systemd.alive(f"{tests}; {len(status.workers)} workers")
+        tests = ", ".join(f"{name} {each.tests:,} tests" for name, each in status.problems.items())
+        self._systemd.alive(f"{tests}; {len(status.workers):,} workers")
         if status.loop.done:
             self._systemd.outside_loop()
 
@@ -212,7 +212,7 @@ def worker_line(status: RunStatus, rate: float) -> str:
     """Return the workers and the throughput."""
     busy = sum(1 for phase in status.workers.values() if phase in ("sent", "busy"))
     trouble = [name for name, phase in status.workers.items() if phase in ("shunned", "gone", "set aside")]
-    text = f"workers {len(status.workers)} ({busy} busy), {rate:.1f} rollouts/s, {duration(status.seconds)} so far"
+    text = f"workers {len(status.workers):,} ({busy:,} busy), {rate:,.1f} rollouts/s, {duration(status.seconds)} so far"
     if status.link is not None and status.link.down_for is not None:
         away = sum(1 for phase in status.workers.values() if phase == "out of reach")
         text += f", the link to the router has been down for {duration(status.link.down_for)}, {away} out of reach"

@@ -34,9 +34,14 @@ def bound_in_sense(config: CampaignConfig, problem: Problem, progress: ProblemPr
     return floored(-upper if sense == "min" else upper, sense, by_clip(config, problem))
 
 
-def bound_text(config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> str:
-    """Return the bound so far, rounded to the safe side; a dash without one."""
-    bound = bound_in_sense(config, problem, progress)
+def proven_bound(config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> float | None:
+    """Return the same as far as it holds now: before its end a method that claims nothing until then has none."""
+    early = problem.bound_at_end and progress.stopped_by is None
+    return None if early else bound_in_sense(config, problem, progress)
+
+
+def bound_text(config: CampaignConfig, problem: Problem, bound: float | None) -> str:
+    """Return a bound, rounded to the safe side; a dash without one."""
     return "-" if bound is None else outward(bound, ">=" if config.sense_of(problem) == "min" else "<=")
 
 
@@ -64,11 +69,11 @@ def progress_table(
         alpha = alpha_of(config, problem)
         found.add_row(
             problem.name,
-            f"{progress.tests} of {remaining.budget(config, problem, progress.extended)}",
+            f"{progress.tests:,} of {remaining.budget(config, problem, progress.extended):,}",
             figure(remaining_distance(config, problem, progress)),
             figure(alpha) if alpha is None else f"{alpha:g}",
-            bound_text(config, problem, progress),
-            str(progress.rollouts),
+            bound_text(config, problem, proven_bound(config, problem, progress)),
+            f"{progress.rollouts:,}",
             ENDS[progress.stopped_by] if progress.stopped_by else left,
             style="green" if progress.stopped_by == "converged" else "",
         )
@@ -79,6 +84,6 @@ def progress_table(
             SHRINK: config.falsify.shrink_tests if config.falsify else 0,
             RECHECK: config.recheck,
         }[closing_check(name) or name]
-        end = "ended" if progress.stopped_by else f"of at most {most} tests"
-        found.add_row(name, str(progress.tests), "", "", "", str(progress.rollouts), end)
+        end = "ended" if progress.stopped_by else f"of at most {most:,} tests"
+        found.add_row(name, f"{progress.tests:,}", "", "", "", f"{progress.rollouts:,}", end)
     return found

@@ -454,10 +454,30 @@ def test_a_smaller_delta_alone_does_not_help_where_its_complement_is_required(tm
     )
 
 
-@pytest.mark.parametrize("key", ["required_margin", "required_at_most", "required_probability"])
-def test_what_is_required_is_no_part_of_the_identity(key: str) -> None:
-    plain = robustness(RIGOROUS)
-    assert robustness(RIGOROUS, **{key: 0.5}).digest == plain.digest
+@pytest.mark.parametrize(
+    ("problem", "key"),
+    [(RIGOROUS, "required_margin"), (SAMPLE, "required_at_most"), (RIGOROUS, "required_probability")],
+)
+def test_what_is_required_is_no_part_of_the_identity(problem: dict[str, Any], key: str) -> None:
+    assert robustness(problem, **{key: 0.5}).digest == robustness(problem).digest
+
+
+FAILURES, MEAN = {"quantity": "failure_probability"}, {"quantity": "mean"}
+
+
+@pytest.mark.parametrize(
+    ("problem", "changes", "line"),
+    [
+        (RIGOROUS, {"required_at_most": 0.0}, "required_at_most: first claim below; remove required_margin"),
+        (SAMPLE, {"claims": [MEAN, FAILURES], "required_at_most": 0.1}, "required_at_most: below; required_margin"),
+        (SAMPLE, {"claims": [FAILURES, MEAN], "required_margin": 0.1}, "required_margin: above; required_at_most"),
+    ],
+)
+def test_a_requirement_of_a_bound_from_the_other_side_is_refused(
+    problem: dict[str, Any], changes: dict[str, Any], line: str
+) -> None:
+    with pytest.raises(ValueError, match=facts(line)):
+        robustness(problem, clip=[-1.0, 2.0], **changes)
 
 
 def test_a_margin_that_no_clipped_value_can_have_is_refused() -> None:

@@ -461,7 +461,7 @@ def test_a_rollout_of_another_campaign(campaign: Path) -> None:
     shutil.copy(of(campaign, "nominal_robustness", 7, "nominal"), campaign / relative_path(stranger))
     relist(campaign, lambda listed: listed.update({stranger: relative_path(stranger)}))
     assert failed(campaign) == ["evidence"]
-    assert "belong to no observed test" in check(campaign).found["evidence"].detail
+    assert "1 file of no observed test" in check(campaign).found["evidence"].detail
 
 
 @pytest.mark.parametrize(

@@ -80,7 +80,7 @@ def test_progress(progress: ProblemProgress, left: str, width: int) -> None:
     whole = ["".join(cell.split()) for cell in cells if cell.strip()]
     assert len(whole) >= 7, "a blank between each two of them"
     joined = " ".join(whole)
-    for number in (f"{progress.F:.4f}", str(progress.rollouts), str(progress.tests)):
+    for number in (f"{progress.F:.4f}", f"{progress.rollouts:,}", f"{progress.tests:,}"):
         assert number in joined, "whole, and not cut"
 
 

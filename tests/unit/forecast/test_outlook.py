@@ -115,12 +115,12 @@ def test_words_have_the_sense_of_the_problem_and_the_budget() -> None:
     words = in_words(config, config.problems[0], progress(None))
     assert words is not None
     assert words.startswith("forecast: bound about -1.1 (-1.")
-    assert says(words, "400 tests 1000 further about 0.")
+    assert says(words, "400 tests 1,000 further about 0.")
     longer = in_words(config, config.problems[0], progress(None, extended=900))
     assert "after 900 tests" in (longer or "")
     spent = in_words(config, config.problems[0], progress("budget"))
     assert spent is not None
-    assert says(spent, "^forecast: 1000 further rollouts")
+    assert says(spent, "^forecast: 1,000 further rollouts")
     assert in_words(config, config.problems[0], progress("converged")) is None
     sampled = robustness({"method": "sample"}, max_tests=400)
     assert in_words(sampled, sampled.problems[0], progress(None)) is None
@@ -177,7 +177,7 @@ def test_a_planned_campaign_has_one_forecast_in_all_places(tmp_path: Path, monke
     assert bound.low == bound.middle == bound.high == progress.bound.upper, "nothing is left to come"
     assert 0 < gain.low <= gain.middle <= gain.high < 1
     (terminal,) = outlook_lines(config, [replace(progress, planned=planned)])
-    assert says(terminal, "forecast: 1000 more about 0.")
+    assert says(terminal, "forecast: 1,000 more about 0.")
     assert f"robustness, {Collector(tmp_path).refresh().problems[0].outlook}" == terminal
     running = in_words(config, config.problems[0], replace(progress, planned=planned, stopped_by=None))
     assert running is not None

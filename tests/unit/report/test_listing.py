@@ -12,6 +12,7 @@ from perfbound.schemas.errors import PerfboundError
 from perfbound.schemas.rollout import RolloutRequest
 from tests.facts import facts
 from tests.fakes.simulators import robustness, simulate, spec
+from tests.tampering import editing
 
 FIXTURES = Path(__file__).parents[2] / "fixtures" / "finished"
 RIGOROUS = {"method": "rigorous", "alpha": 0.1, "rkhs_norm": 2.0, "noise_scale": 0.0, "kernel": {"length_scale": 0.7}}
@@ -50,6 +51,18 @@ def test_each_has_its_state_and_verdict_and_the_last_one_is_first(folder: Path) 
     assert found[1].violations
     assert found[3].violations is None
     assert "campaign.db: not a campaign database" in found[3].fault
+
+
+@pytest.mark.parametrize(
+    "edit", ["UPDATE schema SET version = 2", "ALTER TABLE rollouts RENAME COLUMN violations TO failed"]
+)
+def test_one_of_another_version_is_not_called_damaged(tmp_path: Path, edit: str) -> None:
+    shutil.copytree(FIXTURES / "scenario", tmp_path / "old")
+    with editing(tmp_path / "old") as database:
+        database.execute(edit)
+    (found,) = campaigns_below(tmp_path)
+    assert (found.state, found.verdict) == ("other version", None)
+    assert found.fault.endswith("; use the perfbound that wrote it")
 
 
 def test_rollouts_without_a_robustness_are_counted(tmp_path: Path) -> None:

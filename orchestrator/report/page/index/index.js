@@ -1,7 +1,8 @@
 // The index of many campaigns: its rows, filters and order, and the changes that its server reports.
 
 const VERDICTS = ["SHOWN", "VIOLATED", "NOT SHOWN"];
-const STATES = ["running", "finished", "stopped", "damaged"];
+const UNREADABLE = ["damaged", "other version"];
+const STATES = ["running", "finished", "stopped", ...UNREADABLE];
 const [POLL, LONGEST_POLL] = [2000, 30_000]; // milliseconds
 const SOON = 150; // milliseconds: while campaigns are read for the first time
 
@@ -104,7 +105,7 @@ function summary() {
     ...counted("running", rows.filter((row) => row.state === "running").length),
     ...VERDICTS.flatMap((word) => counted(word, rows.filter((row) => row.verdict === word).length)),
     ...counted("stopped", rows.filter((row) => row.state === "stopped").length),
-    ...counted("damaged", rows.filter((row) => row.state === "damaged").length),
+    ...UNREADABLE.flatMap((state) => counted(state, rows.filter((row) => row.state === state).length)),
     ...counted("being read", index.unread),
   ];
   const more = index.more ? "; there are more than this page shows: name a smaller folder" : "";
@@ -186,7 +187,7 @@ function elementOf(row) {
 function rowElement(row) {
   const cell = (label, attributes, ...children) => el("td", { role: "cell", "data-label": label, ...attributes }, children);
   const unread = row.state === "unread";
-  const number = (value) => (unread || row.state === "damaged" ? "\u2013" : count(value));
+  const number = (value) => (unread || UNREADABLE.includes(row.state) ? "\u2013" : count(value));
   return el(
     "tr", { role: "row", "data-path": visible(row.path) },
     el("td.campaign", { role: "cell" }, linkTo(row), row.path === row.name ? null : el("span.small", shortMiddle(row.path, 120)), row.fault ? el("span.small.bad", short(row.fault, 300)) : null),
@@ -209,7 +210,7 @@ function claimOf(row) {
 /** The name of a campaign, and the way to its page; the server has made the address of bytes that need no escape. */
 function linkTo(row) {
   const name = nameElement(row.name, 80);
-  return row.href && row.state !== "damaged" ? el("a", { href: row.href }, name) : name;
+  return row.href && !UNREADABLE.includes(row.state) ? el("a", { href: row.href }, name) : name;
 }
 
 function progressOf(row) {

@@ -17,6 +17,7 @@ from perfbound.orchestrator.campaign.admission import admit_either, scored
 from perfbound.orchestrator.campaign.ledger import Ledger, Scored, observed_rollouts
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.issue import issue, manifest
+from perfbound.orchestrator.certificate.verify.resimulate import Resimulation, finding
 from perfbound.orchestrator.certificate.verify.run import verify_certificate
 from perfbound.orchestrator.report.collect.campaign import Collector
 from perfbound.orchestrator.report.collect.violations import ranked_tests, violating_starts
@@ -24,12 +25,13 @@ from perfbound.orchestrator.store import facts as recorded_facts
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.progress import read_progress
-from perfbound.orchestrator.store.robustness import read_values, read_violations
+from perfbound.orchestrator.store.robustness import read_number_of_rollouts, read_values, read_violations
 from perfbound.schemas.batch import BatchRequest
 from perfbound.schemas.errors import JournalError
 from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.ids import Attempt, FileId
 from perfbound.schemas.result.block_facts import BatchFact, BlockObservationFact, BlockProposalFact
-from perfbound.schemas.result.facts import Header, ObservationFact, RolloutFact
+from perfbound.schemas.result.facts import RECORDED, Header, ObservationFact, RolloutFact
 from perfbound.schemas.trajectory.batch import Batch, with_failures
 from perfbound.schemas.trajectory.trajectory import Trajectory
 from perfbound.workers.batch import run_on
@@ -73,17 +75,25 @@ class Play:
         self.journal = Journal.create(directory, self.header)
         self.ledger = Ledger(directory, self.journal)
         self._tried: Counter[str] = Counter()
+        self._attempts: Counter[str] = Counter()
         self._random = random.Random(str(directory))
         self.requests: list[BatchRequest] = []
+        self.of_workers: Counter[str] = Counter()
+        """The rollouts that each recorded, two workers in turn."""
 
     def play(self, *, restarts: bool = False, most: int = 10_000) -> "Play":
         with self.ledger.transaction():
             wanted = self.ledger.outstanding().wanted
         while wanted and most:
             rollout = wanted.pop(self._random.randrange(len(wanted)))
+            before = read_number_of_rollouts(self.directory)
+            worker = f"worker-{most % 2}"
             payload, found, sha256 = self._simulated(self.ledger, rollout)
+            self._attempts[str(rollout)] += 1
             with self.ledger.transaction():
                 work = self.ledger.record(rollout, payload, found, sha256)
+                self.journal.attempts.ended(Attempt(rollout, self._attempts[str(rollout)]), worker, RECORDED)
+            self.of_workers[worker] += read_number_of_rollouts(self.directory) - before
             wanted = [each for each in [*wanted, *work.wanted] if each not in work.unwanted]
             most -= 1
             if restarts and self._random.random() < 0.3:
@@ -196,6 +206,28 @@ def numbers(play: Play) -> Any:
         )
         for name, series in play.ledger.series.items()
     } | {"bounds": [series.last_bound for series in play.ledger.series.values()]}
+
+
+@pytest.mark.parametrize("name", ["sample, blocks", "kriging, blocks of replicates"])
+def test_what_a_worker_recorded_is_counted_in_rollouts_and_not_in_batches(name: str, tmp_path: Path) -> None:
+    """The retry of a rollout that failed in its batch may be another worker's, also that of the first one."""
+    with played(tmp_path / "a", CAMPAIGNS[name], failing=some) as play:
+        expected = dict(play.of_workers)
+        assert sum(expected.values()) > len(play.requests)
+        assert {worker: rollouts for worker, rollouts, _ in read_progress(play.directory).workers} == expected
+        rows = Collector(play.directory).refresh().workers
+        assert {row.name: row.rollouts for row in rows} == expected
+
+
+def test_a_verification_counts_rollouts_as_rollouts_and_files_as_files(tmp_path: Path) -> None:
+    with played(tmp_path / "a", CAMPAIGNS["sample, blocks"], failing=some) as play:
+        play.certify()
+        found, number = checked(play.directory).found, len(list(play.directory.rglob("*.mcap")))
+    assert found["trajectories"].detail == f"{number} files"
+    assert found["requests"].detail == "50 rollouts"
+    assert found["database"].detail.startswith("50 tests, 50 rollouts, 50 observations, ")
+    again = tuple(Resimulation(FileId.parse(f"a.{test}.b.0.16"), bitwise=True, difference=0.0) for test in (0, 16))
+    assert finding(again, 1234).startswith("2 of 1,234 files, bitwise the same: ")
 
 
 @pytest.mark.parametrize("name", [*CAMPAIGNS, *REDUCED])

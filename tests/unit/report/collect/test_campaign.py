@@ -610,7 +610,7 @@ def test_a_long_campaign_has_few_points(one: Path) -> None:
     outcomes = tuple(AttemptOutcome("r", 1, "w", "recorded", float(t), 0.5, 1.0) for t in range(5000))
     lost = AttemptOutcome("r", 1, "w", "hung", 5000.0, 0.0, 10.0)
     session = Session("h", 0.0, None, None, "x86", None, None)
-    statistics.add(Changes(about, (), {}, (), (*outcomes, lost), {"w": "h"}, (session, session)))
+    statistics.add(Changes(about, (), {}, {"w": 5000}, (), (*outcomes, lost), {"w": "h"}, (session, session)))
     found = statistics.throughput()
     assert len(found.seconds) == len(found.recorded) == 200
     assert (found.recorded[0], found.recorded[-1], found.seconds[-1]) == (1, 5000, 4999.0)
@@ -624,7 +624,7 @@ def test_a_result_of_a_batch_counts_for_all_its_rollouts(one: Path) -> None:
     statistics, about = WorkerStatistics(), ChangeReader(one).read().header
     about = replace(about, config=about.config.model_copy(update={"batch": 8}))
     outcomes = tuple(AttemptOutcome("r", 1, "w", "recorded", float(t), 0.5, 1.0) for t in range(10))
-    statistics.add(Changes(about, (), {"p": 80}, (), outcomes, {"w": "h"}, ()))
+    statistics.add(Changes(about, (), {"p": 80}, {"w": 80}, (), outcomes, {"w": "h"}, ()))
     found = statistics.throughput()
     assert (found.recorded[0], found.recorded[-1], found.seconds[-1]) == (8, 80, 9.0)
     assert found.rate == pytest.approx(8.0)

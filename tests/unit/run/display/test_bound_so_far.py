@@ -6,7 +6,7 @@ import pytest
 from rich.console import Console
 
 from perfbound.orchestrator.run.display.progress import Plain
-from perfbound.orchestrator.run.display.progress_table import LEGEND, bound_text, progress_table
+from perfbound.orchestrator.run.display.progress_table import LEGEND, bound_in_sense, bound_text, progress_table
 from perfbound.orchestrator.run.service import RunStatus
 from perfbound.schemas.values import Bound, ProblemProgress
 from tests.campaigns import config
@@ -21,11 +21,18 @@ def progress(upper: float | None) -> ProblemProgress:
 
 @pytest.mark.parametrize(
     ("place", "upper", "shown"),
-    [(0, -0.196799, "0.1967"), (0, 0.00011, "-0.0002"), (1, 0.468014, "0.4681"), (1, 0.5, "0.5000"), (1, None, "-")],
+    [
+        (0, -0.196799, "0.1967"),
+        (0, 0.02341, "-0.0235"),
+        (0, 0.00011, "-0.00011"),
+        (1, 0.468014, "0.4681"),
+        (1, 0.5, "0.5000"),
+        (1, None, "-"),
+    ],
 )
 def test_it_is_rounded_to_the_safe_side(place: int, upper: float | None, shown: str) -> None:
     problem = CAMPAIGN.problems[place]
-    assert bound_text(CAMPAIGN, problem, progress(upper)) == shown
+    assert bound_text(CAMPAIGN, problem, bound_in_sense(CAMPAIGN, problem, progress(upper))) == shown
     rows = [progress(None), progress(None)]
     rows[place] = progress(upper)
     out = io.StringIO()

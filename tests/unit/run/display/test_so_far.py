@@ -181,6 +181,29 @@ def cut(directory: Path, config: CampaignConfig, function: Any, after: int, *, n
     assert simulate(directory, config, function, noisy=noisy, stop=lambda _: next(count) == after) is None
 
 
+TWO = [{"quantity": "mean"}, {"quantity": "next_rollout", "level": 0.1}]
+
+
+@pytest.mark.parametrize(
+    ("problem", "changes", "proven"),
+    [
+        (SAMPLE, {"claims": TWO, "max_tests": 80}, ">= 0.4"),
+        (KRIGING, {"replicates": 4, "max_tests": 60, "spot_check": 0}, "nothing yet"),
+    ],
+    ids=["another claim has no bound yet", "no bound holds before the end"],
+)
+def test_both_tables_have_the_same_bound(
+    problem: dict[str, Any], changes: dict[str, Any], proven: str, tmp_path: Path
+) -> None:
+    cut(tmp_path, robustness(problem, clip=[-0.3, 1], recheck=0, **changes), quiet, after=30)
+    shown(tmp_path)
+    lines = in_words(tmp_path).splitlines()
+    (above,) = (line for line in lines if line.startswith("proven so far"))
+    (below,) = (line for line in lines if line.startswith("robustness "))
+    assert f"  {proven}" in above
+    assert f" {proven.removeprefix('>= ')}" in below if proven.startswith(">=") else below.split()[4:7] == ["-"] * 3
+
+
 def test_without_a_link_to_the_router_no_time_is_expected(tmp_path: Path) -> None:
     cut(tmp_path, a_rigorous_one(max_tests=60), quiet, after=120)
     output = Output()
