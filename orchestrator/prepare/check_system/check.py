@@ -121,6 +121,7 @@ def checked_system(
     if not fresh.ended and all(found.error for found in fresh.measured):
         runs.append(rolled("rollouts", trials.few()))
     together: tuple[ChildRun, ...] = ()
+    batched: ChildRun | None = None
     usable = any(not found.error for run in runs for found in run.measured)
     if usable and not runs[-1].ended:
         seconds = min((found.seconds for found in fresh.measured), default=0.0)
@@ -129,10 +130,15 @@ def checked_system(
         runs.append(rolled("opposite order", trials.second()))
         if not any(run.ended for run in runs):
             together = rolled_at_once("two at a time", trials.together(seconds))
+        if spec.vectorised:
+            # Not the first one of a process, which may compile.
+            later = min(found.seconds for run in runs for found in run.measured if not found.error)
+            batched = rolled("batches", trials.batches(later))
     measurements = Measurements(
         spec,
         (*runs, *ended),
         together=together,
+        batched=batched,
         limit=limit,
         processors=len(os.sched_getaffinity(0)),
         own_horizon=own is not None,

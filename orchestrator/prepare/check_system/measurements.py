@@ -21,6 +21,8 @@ class Measurements:
     processors: int
     together: tuple[ChildRun, ...] = ()
     """Processes that ran at the same time; empty if none did."""
+    batched: ChildRun | None = None
+    """The batches of a vectorised system."""
     own_horizon: bool = False
     program: str = ""
     """Of the campaign file, with its arguments; empty for a system in Python."""
