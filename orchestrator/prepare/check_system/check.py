@@ -1,6 +1,7 @@
 """`perfbound check-system`: rollouts in child processes, and the findings about the system, as a table and as JSON."""
 
 import json
+import math
 import os
 import shlex
 import tempfile
@@ -21,11 +22,13 @@ from ....schemas.rollout import RolloutRequest
 from ....schemas.system import SystemSpec, Variant
 from ....schemas.system_check import ChildRun, Trial
 from ....schemas.trajectory.trajectory import decode
+from ...campaign.plan import plans
 from ...campaign.starts import check_where
 from ...certificate.verify.stages import Report
 from ...fleet.children.child import named_campaign, system_options, system_spec
 from ...fleet.children.simulate import chosen_horizon, chosen_options
 from ..seen_margins import SeenMargins
+from ..size import undecided_rollouts
 from .findings import SystemFinding
 from .judge import judge
 from .measure import measure_in_children
@@ -139,6 +142,7 @@ def checked_system(
         (*runs, *ended),
         together=together,
         batched=batched,
+        undecided=undecided_rollouts(plans(config, spec).values()) if margins and config else math.inf,
         limit=limit,
         processors=len(os.sched_getaffinity(0)),
         own_horizon=own is not None,

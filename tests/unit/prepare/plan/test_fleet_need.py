@@ -55,7 +55,7 @@ def test_problems_run_side_by_side_and_checks_one_after_the_other() -> None:
 
 
 def test_a_window_is_not_wider_than_the_tests() -> None:
-    assert size(tests=3, window=64, per_test=2).side_by_side == 6
+    assert size(tests=3, window=64, per_test=2).at_once == 6
 
 
 def test_mathematics_come_on_top_of_one_test_in_flight() -> None:
