@@ -6,7 +6,7 @@ from .measurements import Measurements
 
 _UNIT = (
     "let each rollout follow from its own start and seed, bit by bit; where a library computes otherwise for another "
-    "size of the batch, say batch_is_the_unit=True in the decorator: a campaign then repeats whole batches alone"
+    "size of the batch, say batch_is_the_unit=True in the decorator: a campaign then repeats only whole batches"
 )
 _FAULTS: dict[Against, tuple[str, str]] = {
     "again": ("differ when their batch is repeated", "draw every random number from `seeds`, and keep nothing"),

@@ -72,7 +72,7 @@ _CHECKS: dict[str, Callable[[Measurements], SystemFinding | None]] = {
     "files": files.judge_files,
     "speed": costs.judge_speed,
 }
-_COMPARING = {"together", "batches", "seed", "horizon"}
+_COMPARING = {"together", "seed", "horizon"}
 """Checks that compare rollouts, and so need repeatable ones."""
 
 
