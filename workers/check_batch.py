@@ -21,7 +21,7 @@ class Compared(NamedTuple):
 
 
 def compared(system: SystemUnderTest, request: BatchRequest) -> Compared:
-    """Simulate a batch, the same again, N batches of one, one in another order, and one with half of other starts.
+    """Simulate a batch, the same again, N batches of one, one in another order, and two with half of other starts.
 
     Raises:
         SimulationError: a batch has no usable trajectories.
@@ -44,11 +44,16 @@ def compared(system: SystemUnderTest, request: BatchRequest) -> Compared:
     seconds = max(batched - begun - single, 0.0) / max(len(places) - 1, 1)
     order = list(reversed(places))
     turned = simulated(order)
-    # With the same seeds: a generator of the whole batch leaves its rollouts independent, their starts do not.
-    others = simulated(places, [request.x[(k + 1) % len(places)] if k % 2 else request.x[k] for k in places])
+    # With the same seeds: a generator of the whole batch leaves its rollouts independent, their starts do not. One half
+    # gets one start of the other: the same starts in another order would leave a sum or a maximum as it is.
+    middle = len(places) // 2
+    first, second = (
+        simulated(places, [request.x[k] if k in kept else request.x[kept[0]] for k in places])
+        for kept in (places[:middle] or places, places[middle:])
+    )
     pairs: dict[Against, Iterable[tuple[int, Batch, int]]] = {
         "again": ((k, again, k) for k in places),
-        "others": ((k, others, k) for k in places[::2]),
+        "others": ((k, first if k < middle else second, k) for k in places),
         "alone": ((k, alone[k], 0) for k in places),
         "order": ((k, turned, order.index(k)) for k in places),
     }

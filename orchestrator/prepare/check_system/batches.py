@@ -52,10 +52,9 @@ def judge_batches(measurements: Measurements) -> SystemFinding | None:
 def _words(measurements: Measurements, trial: Trial, found: BatchDifference, fault: str) -> str:
     """Return which rollout differs, in which column, when and how far."""
     assert trial.batch is not None
-    total = len(trial.batch.seeds[::2]) if found.against == "others" else len(trial.batch)
     unit = next((each.unit for each in measurements.spec.columns if each.name == found.column), "")
     most = f"most at {trial.batch.single(found.place).words(measurements.spec)}: {found.column} at {found.time:g} s"
-    return f"{found.rollouts} of {total} rollouts {fault}; {most} by {found.distance:.2g} {unit}".rstrip()
+    return f"{found.rollouts} of {len(trial.batch)} rollouts {fault}; {most} by {found.distance:.2g} {unit}".rstrip()
 
 
 def _apart(found: Measured) -> str:

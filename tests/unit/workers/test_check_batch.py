@@ -32,7 +32,8 @@ FAULTS: dict[str, tuple[Callable[[Any], Any], set[str]]] = {
     "none": (lambda _: 0.0, set()),
     "its size": (lambda a: 1e-3 * len(a), {"alone"}),
     "its place": (lambda a: 1e-3 * np.arange(len(a)), {"alone", "order"}),
-    "the others": (lambda a: 1e-3 * a.sum(), {"alone", "others"}),
+    "the sum": (lambda a: 1e-3 * a.sum(), {"alone", "others"}),
+    "the largest": (lambda a: 1e-3 * a.max(), {"alone", "others"}),
     "the call": (lambda _: 1e-3 * next(CALLS), {"again", "alone", "order", "others"}),
 }
 
@@ -41,7 +42,7 @@ FAULTS: dict[str, tuple[Callable[[Any], Any], set[str]]] = {
 def test_what_a_rollout_depends_on_beside_start_and_seed(fault: str) -> None:
     change, expected = FAULTS[fault]
     shifted = system(change)
-    starts = [(float(each),) for each in range(6)]
+    starts = [(each,) for each in (0.0, 0.0, 1.0, 1.0, 2.0, 2.0)]
     found = compared(shifted, batch_request(shifted.spec, starts)).differences
     assert {each.against for each in found} == expected
     assert all((each.column, each.time) == ("z", 0.5) for each in found)
