@@ -16,7 +16,8 @@ def amount(number: float) -> str:
 def counted(number: int, noun: str) -> str:
     """Return a number with its noun.
 
-    >>> counted(1, "rollout"), counted(100_000, "rollout")
-    ('1 rollout', '100,000 rollouts')
+    >>> counted(1, "rollout"), counted(100_000, "rollout"), counted(2, "batch")
+    ('1 rollout', '100,000 rollouts', '2 batches')
     """
-    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+    plural = "es" if noun.endswith("ch") else "s"
+    return f"{number:,} {noun}{'' if number == 1 else plural}"

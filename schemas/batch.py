@@ -1,8 +1,9 @@
 """The request for a batch: rollouts of one variant, of one test or of consecutive ones, that are simulated together."""
 
+import json
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Annotated, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +12,12 @@ from pydantic import Field, model_validator
 from .base import Model
 from .file.signals import SignalShape
 from .ids import FileId, RolloutId
-from .ranges import LARGEST_BATCH, MAX_FILE_BYTES, Magnitude, ReplicateNumber, Seconds, Seed, TestNumber
-from .rollout import MAX_PARAMETERS, Name, RequestTemplate, RolloutRequest, Sha256
+from .ranges import LARGEST_BATCH, MAX_FILE_BYTES, ReplicateNumber, Seconds, Seed, TestNumber
+from .rollout import MAX_PARAMETERS, Name, RequestTemplate, RolloutRequest, Sha256, Start, WithinBatch
 from .system import OptionValue, SystemSpec, Variant
 
 MOST_NUMBERS = 30_000
 """Numbers of all starts of a batch, so that its request stays a message of less than a megabyte."""
-Start = Annotated[tuple[Magnitude, ...], Field(min_length=1, max_length=MAX_PARAMETERS)]
 
 
 class BatchRequest(Model):
@@ -82,6 +82,10 @@ class BatchRequest(Model):
             signals=self.signals,
         )
 
+    def within(self, place: int) -> WithinBatch:
+        """Return the batch for a request that repeats it for the rollout in this place."""
+        return WithinBatch(x=self.x, seeds=self.seeds, place=place)
+
     @property
     def metadata(self) -> dict[str, str]:
         """The metadata record of the batch's file."""
@@ -110,7 +114,13 @@ def batch_request(
 
 def read_request(text: str) -> RolloutRequest | BatchRequest:
     """Read the JSON of a request for a rollout or for a batch; raises pydantic's ValidationError."""
-    return (BatchRequest if '"seeds"' in text else RolloutRequest).model_validate_json(text)
+    try:
+        found = json.loads(text)
+    except ValueError:
+        found = None
+    # By its own key: a rollout within a batch has seeds as well, and an option may have any name.
+    is_batch = isinstance(found, dict) and "replicates" in found
+    return (BatchRequest if is_batch else RolloutRequest).model_validate_json(text)
 
 
 def file_of(request: RolloutRequest | BatchRequest) -> FileId:

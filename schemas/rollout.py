@@ -2,14 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from .base import Model
 from .file.signals import SignalShape
 from .ids import RolloutId
-from .ranges import Magnitude, ReplicateNumber, Seconds, Seed, TestNumber
+from .ranges import LARGEST_BATCH, Magnitude, ReplicateNumber, Seconds, Seed, TestNumber
 from .system import OptionValue, SystemSpec, Variant
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
@@ -17,6 +17,24 @@ Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 MAX_PARAMETERS = 1000
 """Numbers of one start."""
+Start = Annotated[tuple[Magnitude, ...], Field(min_length=1, max_length=MAX_PARAMETERS)]
+
+
+class WithinBatch(Model):
+    """The batch of which a rollout is repeated: of a system that can repeat its batches alone, see `SystemSpec`.
+
+    Starts and seeds are as in a `BatchRequest`; the rollout is the one in `place`.
+    """
+
+    x: tuple[Start, ...] = Field(min_length=1, max_length=LARGEST_BATCH)
+    seeds: tuple[Seed, ...] = Field(min_length=1, max_length=LARGEST_BATCH)
+    place: int = Field(ge=0, lt=LARGEST_BATCH)
+
+    @model_validator(mode="after")
+    def _fitting(self) -> Self:
+        if len(self.seeds) % len(self.x) or self.place >= len(self.seeds) or len(set(map(len, self.x))) != 1:
+            raise ValueError(f"{len(self.x)} starts and {len(self.seeds)} seeds have no rollout in place {self.place}")
+        return self
 
 
 class RolloutRequest(Model):
@@ -45,6 +63,11 @@ class RolloutRequest(Model):
         # Requests without signals stay what they were, to the byte: they are in the files of trajectories.
         exclude_if=lambda signals: not signals,
         description="the inputs over time whose knots are in `x`",
+    )
+    within: WithinBatch | None = Field(
+        default=None,
+        exclude_if=lambda within: within is None,
+        description="the batch to simulate as a whole, of which this rollout is wanted",
     )
 
     @property
@@ -111,6 +134,8 @@ class RequestTemplate:
             "signals": self.spec.signals,
         }
 
-    def request(self, rollout: RolloutId, x: Sequence[float], seed: int) -> RolloutRequest:
+    def request(
+        self, rollout: RolloutId, x: Sequence[float], seed: int, *, within: WithinBatch | None = None
+    ) -> RolloutRequest:
         """Return the request for a rollout that starts at `x` (p,), in the units of the parameters."""
-        return RolloutRequest(**self.common(rollout), x=tuple(x), seed=seed, visual=self.visual)
+        return RolloutRequest(**self.common(rollout), x=tuple(x), seed=seed, visual=self.visual, within=within)

@@ -178,7 +178,8 @@ class SystemSpec(Model, metaclass=Written):
     )
     batch_is_the_unit: bool = Field(
         default=False,
-        description="a rollout depends on the others of its batch, so that only the batch as a whole can be repeated",
+        description="the last digits of a rollout depend on the size of its batch and on its place in it, so that only "
+        "the batch as a whole can be repeated",
     )
 
     signals: tuple[SignalShape, ...] = Field(

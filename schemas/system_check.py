@@ -1,8 +1,11 @@
 """The exchange between `check-system` and its child processes: rollouts, and what was measured of each."""
 
+from typing import Literal
+
 from pydantic import Field
 
 from .base import Model
+from .batch import BatchRequest
 from .rollout import RolloutRequest
 from .values import Stamps
 
@@ -12,13 +15,29 @@ class Trial(Model):
 
     `reseed` is the seed of the global random states (`random`, `numpy.random`) set before it; None leaves them.
     `beginning` is the length in s of the part of the trajectory that gets a digest of its own, `pause` the time in s
-    before the rollout.
+    before the rollout. With a `batch`, whose first rollout is the request, the batch is simulated and compared.
     """
 
     request: RolloutRequest
     reseed: int | None = None
     beginning: float = 0.0
     pause: float = 0.0
+    batch: BatchRequest | None = None
+
+
+Against = Literal["again", "others", "alone", "order"]
+"""With what a batch is compared: itself, with other starts in half of its places, its rollouts alone, another order."""
+
+
+class BatchDifference(Model):
+    """The difference of a batch from another one: of `rollouts`, and where it is largest, in the unit of the column."""
+
+    against: Against
+    rollouts: int
+    place: int
+    column: str
+    time: float
+    distance: float
 
 
 class SampleTimes(Model):
@@ -52,7 +71,8 @@ class Measured(Model):
     beginning_sha256: str = ""
     file_bytes: int = 0
     grid: SampleTimes | None = None
-    seconds: float = 0.0
+    seconds: float = Field(default=0.0, description="of the rollout, or of one more rollout of a batch")
+    differences: tuple[BatchDifference, ...] = Field(default=(), description="of a batch")
     memory: int = Field(default=0, description="bytes of the process and those it started in memory, after the rollout")
     peak: int = Field(default=0, description="the largest number of these bytes so far")
     printed: int = Field(default=0, description="bytes that were printed to stdout")

@@ -15,6 +15,7 @@ ALLOWED = (
     "zsh is not installed",
     "mkdocs is not installed",
     "MuJoCo is not installed",
+    "JAX is not installed",
     "to build the images",
     "Slurm",
 )

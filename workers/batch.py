@@ -36,8 +36,13 @@ def run_batch_on(system: SystemUnderTest, request: BatchRequest, progress: Progr
         Cancelled: raised by `progress`.
 
     """
-    batch = _together(system, request, progress) if system.spec.vectorised else _in_turn(system, request, progress)
+    batch = simulated_batch(system, request, progress)
     return encode_batch(batch, request=request.model_dump(mode="json"), metadata=request.metadata)
+
+
+def simulated_batch(system: SystemUnderTest, request: BatchRequest, progress: Progress) -> Batch:
+    """Return the trajectories of a batch; raises as `run_batch_on`."""
+    return _together(system, request, progress) if system.spec.vectorised else _in_turn(system, request, progress)
 
 
 def _together(system: SystemUnderTest, request: BatchRequest, progress: Progress) -> Batch:

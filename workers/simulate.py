@@ -1,14 +1,19 @@
 """One rollout on this worker: from the request to the bytes of the trajectory's file."""
 
+from collections.abc import Mapping
+from typing import Any, cast
+
+import numpy as np
+
 from ..schemas.base import canonical_json
 from ..schemas.batch import BatchRequest
 from ..schemas.errors import SimulationError
-from ..schemas.rollout import RolloutRequest
+from ..schemas.rollout import RolloutRequest, WithinBatch
 from ..schemas.trajectory.early_end import held, with_end
 from ..schemas.trajectory.input_signal import start_values
 from ..schemas.trajectory.trajectory import File, Trajectory, encode
 from .systems import load_system
-from .systems.base import Progress, SystemUnderTest
+from .systems.base import Progress, SystemUnderTest, Vectorised
 
 
 def run_request(request: RolloutRequest, progress: Progress) -> bytes:
@@ -75,15 +80,17 @@ def _file(system: SystemUnderTest, request: RolloutRequest, trajectory: Trajecto
 def simulated(system: SystemUnderTest, request: RolloutRequest, progress: Progress) -> Trajectory:
     """Return the trajectory of a rollout, with its visual part if the request asks for it; raises as the file."""
     spec = system.spec
-    start = start_values(spec.spread(request.signals), request.x, request.horizon)
-    trajectory = system.rollout(
-        tuple(start.values()),
-        variant=request.variant,
-        seed=request.seed,
-        horizon=request.horizon,
-        options=request.options,
-        progress=progress,
-    )
+    common: dict[str, Any] = {
+        "variant": request.variant,
+        "horizon": request.horizon,
+        "options": request.options,
+        "progress": progress,
+    }
+    if request.within is not None:
+        trajectory = _of_batch(system, request.within, common)
+    else:
+        start = start_values(spec.spread(request.signals), request.x, request.horizon)
+        trajectory = system.rollout(tuple(start.values()), seed=request.seed, **common)
     if trajectory.columns != spec.own_columns:
         raise SimulationError(f"{spec.name} returned the columns {trajectory.columns}, not those of its spec")
     samples = len(trajectory.samples)
@@ -93,3 +100,16 @@ def simulated(system: SystemUnderTest, request: RolloutRequest, progress: Progre
     if spec.after_end is not None:
         trajectory = with_end(trajectory, samples)
     return trajectory if visual is None else trajectory.showing(visual)
+
+
+def _of_batch(system: SystemUnderTest, within: WithinBatch, common: Mapping[str, Any]) -> Trajectory:
+    """Return the trajectory of one rollout of a batch that is simulated as a whole."""
+    if not system.spec.vectorised:
+        raise SimulationError(f"{system.spec.name} is not vectorised, and repeats no batch")
+    starts = np.repeat(np.array(within.x), len(within.seeds) // len(within.x), axis=0)
+    seeds = np.array(within.seeds, dtype=np.uint64)
+    found = np.asarray(cast(Vectorised, system).rollouts(starts, seeds=seeds, **common))
+    try:
+        return Trajectory(system.spec.own_columns, found[within.place])
+    except ValueError as error:
+        raise SimulationError(str(error)) from None

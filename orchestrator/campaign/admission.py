@@ -177,15 +177,20 @@ def scored(ledger: Ledger, request: BatchRequest, batch: Batch | Reduced) -> Sco
     """Return a batch with its scores; a rollout from which the objective cannot be computed has failed.
 
     Raises:
-        UnusableTrajectoryError: the objective can be computed from none, or a reduced batch has other scores.
+        UnusableTrajectoryError: the objective can be computed from none, or not from all of a batch that is the unit;
+            or a reduced batch has other scores than its samples.
 
     """
     if isinstance(batch, Reduced):
         _check_scores(ledger, request, batch)
         return Scored(batch, BatchScores(*batch.scores, dict(batch.failures)))
-    found = scores_of_batch(ledger.observer, request, batch)
+    found, spec = scores_of_batch(ledger.observer, request, batch), ledger.header.spec
     if len(found.failures) == len(batch):
         raise UnusableTrajectoryError(next(iter(found.failures.values())))
+    if found.failures and spec.batch_is_the_unit:
+        # Made again alone it would be another rollout: one that fails is a failure of its batch, which is retried.
+        place, reason = min(found.failures.items())
+        raise UnusableTrajectoryError(f"the whole batch failed with {request.single(place).words(spec)}: {reason}")
     return Scored(batch, found)
 
 

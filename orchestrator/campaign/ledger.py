@@ -184,7 +184,9 @@ class Ledger:
             fact = series.proposals.get(rollout.test)
             # A damaged file may belong to a closed test, of which the series keeps sums alone.
             start = fact.proposal.x if fact else self._restoration.start(rollout)
-            return self._template.request(rollout, start, decider.seed(rollout))
+            original = self.closing.original(rollout)
+            within = None if original is None else self.recorded.within(original)
+            return self._template.request(rollout, start, decider.seed(rollout), within=within)
         first, tests, replicates = plan.batch_of(rollout)
         if first != rollout or series.has_begun(
             first, replicates

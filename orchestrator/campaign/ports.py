@@ -8,6 +8,7 @@ from typing import Protocol
 from ...schemas.ids import RolloutId
 from ...schemas.result.block_facts import BatchFact, StoredFact
 from ...schemas.result.facts import Header, ProposalFact, RolloutFact
+from ...schemas.rollout import WithinBatch
 from ...schemas.trajectory.batch import Batch, BatchFile, digest_of, read_batch
 from ...schemas.trajectory.reduced import Reduced, read_stored
 from ...schemas.trajectory.trajectory import Trajectory, decode
@@ -127,10 +128,20 @@ class Recorded:
         if fact.batch in self._batches:
             kept, batch = self._batches[fact.batch]
             return batch.trajectory(kept.rollouts.index(fact.rollout))
+        return self._batch_file(fact).alone(fact.rollout).trajectory
+
+    def within(self, rollout: RolloutId) -> WithinBatch | None:
+        """Return the batch that has to be repeated to repeat a rollout; None for one that repeats alone."""
+        if not self._store.header.spec.batch_is_the_unit:
+            return None
+        fact = self._store.rollout(rollout)
+        return self._batch_file(fact).within(rollout) if fact.batch else None
+
+    def _batch_file(self, fact: RolloutFact) -> BatchFile[Batch] | BatchFile[Reduced]:
         if self._file is None or self._file[0] != fact.batch:
             data = evidence.read_evidence(self._directory, fact.path, fact.batch)
             self._file = fact.batch, read_stored(data)
-        return self._file[1].alone(fact.rollout).trajectory
+        return self._file[1]
 
     def batch(self, fact: BatchFact) -> Batch:
         """Return the batch that a fact names."""

@@ -4,17 +4,27 @@ import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
+
+from ...schemas.batch import BatchRequest, alone, batch_request
 from ...schemas.errors import PerfboundError, TrajectoryError
-from ...schemas.rollout import RolloutRequest
+from ...schemas.ids import RolloutId
+from ...schemas.rollout import RequestTemplate, RolloutRequest
 from ...schemas.system import SystemSpec
+from ...schemas.trajectory.batch import read_batch
 from ...schemas.trajectory.trajectory import Trajectory, decode
 from ..fleet.children.child import HangError, ask, system_options
 
 Done = Callable[[int], None]
 """Progress callback: rollouts that are finished."""
+TRIED = 64
+"""Rollouts of a trial batch."""
+FASTEST = 1e-4
+"""Seconds that a trial batch takes at least: less cannot be told from the clock of files."""
 
 
 class ChildRolloutError(PerfboundError):
@@ -35,9 +45,9 @@ class ChildSystem:
 
 
 def simulate_in_child(
-    system: ChildSystem, requests: Sequence[RolloutRequest], folder: Path, done: Done = lambda _: None
+    system: ChildSystem, requests: Sequence[RolloutRequest | BatchRequest], folder: Path, done: Done = lambda _: None
 ) -> None:
-    """Write the file of each rollout into an empty folder, as far as they come in their time.
+    """Write the file of each rollout or batch into an empty folder, as far as they come in their time.
 
     Raises:
         ChildRolloutError: a rollout fails, or does not end.
@@ -55,7 +65,7 @@ def simulate_in_child(
         failed = next(missing, requests[-1])
         hang = f"the rollout gave no result within {system.limit:g} s, and was ended"
         reason = f"{hang}{error.place}" if isinstance(error, HangError) else error
-        raise ChildRolloutError(f"{failed.words(system.spec)}: {reason}") from None
+        raise ChildRolloutError(f"{alone(failed).words(system.spec)}: {reason}") from None
 
 
 def finished(
@@ -78,9 +88,58 @@ def finished(
         yield request, trajectory, path.stat().st_mtime
 
 
+def trial_batches(template: RequestTemplate, requests: Sequence[RolloutRequest]) -> list[BatchRequest]:
+    """Return two equal batches of rollouts like these, whose second one shows what a rollout costs in a batch.
+
+    There are none for a system that simulates one after the other, whose rollouts cost the same in a batch.
+    """
+    if not template.spec.vectorised:
+        return []
+    first = requests[0]
+    alike = [each for each in requests if each.variant == first.variant]
+    chosen = [alike[number % len(alike)] for number in range(TRIED)]
+    seeds = [each.seed ^ (number // len(alike)) for number, each in enumerate(chosen)]
+    place = RolloutId(first.problem, 0, first.variant, 0)
+    batch = batch_request(template, place, [each.x for each in chosen], seeds)
+    return [batch, batch]  # the first one compiles
+
+
+class BatchCost(NamedTuple):
+    """The cost of one more rollout of a batch."""
+
+    seconds: float
+    size: float
+    """Bytes."""
+
+
+def cost_in_batch(folder: Path, rollouts: int, system: SystemSpec) -> BatchCost | None:
+    """Return the cost in the `trial_batches` behind so many rollouts; None if none ran."""
+    if not _file(folder, rollouts + 1).exists():
+        return None
+    path, written = _file(folder, rollouts + 1), [_file(folder, k).stat().st_mtime for k in range(rollouts + 2)]
+    *singly, _, batched = [after - before for before, after in pairwise(written)]
+    request = BatchRequest.model_validate_json(read_batch(path.read_bytes()).request)
+    # Where seeds decide nothing, equal starts are equal rollouts, which are compressed to the size of one.
+    keys = zip(request.x, request.seeds if request.variant in system.noisy else (0,) * TRIED, strict=True)
+    # A batch may take as long as one rollout: what counts is what each further one adds.
+    seconds = max(batched - min(singly, default=0.0), FASTEST) / (TRIED - 1)
+    return BatchCost(seconds, path.stat().st_size / len(set(keys)))
+
+
+def have_one_grid(trajectories: Sequence[Trajectory]) -> bool:
+    """Whether rollouts have the same sample times, without which they cannot be one batch."""
+    times = [each.samples[:, 0] for each in trajectories]
+    return all(np.array_equal(each, times[0]) for each in times)
+
+
 def peak_memory(folder: Path) -> int:
     """Return the bytes of memory that the child had at most, after its rollouts."""
     return 1024 * int(_loaded(folder)["memory"])
+
+
+def file_size(folder: Path) -> float:
+    """Return the bytes of the file of the first rollout."""
+    return _file(folder, 0).stat().st_size
 
 
 def undeclared_files(folder: Path) -> tuple[str, ...]:

@@ -1,10 +1,15 @@
 """The size of a first campaign: as large as it may be to run for about a minute."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from ...schemas.ranges import LARGEST_BATCH
 from ...schemas.values import Guess
+
+if TYPE_CHECKING:
+    from ..campaign.plan import ProblemPlan
 
 SECONDS, WORKERS = 60.0, 2
 """Duration of a first campaign, and the local workers of `perfbound run`."""
@@ -19,6 +24,10 @@ FEWEST_SAMPLES, MOST_SAMPLES = 59, 2995
 
 BATCH_BYTES = 8 * 2**20
 """Of a larger batch the costs besides its rollouts have long been shared."""
+LONG = 0.05
+"""Seconds of a rollout from which its costs besides the simulation, some 10 ms, are not worth a batch."""
+BATCHES = 4
+"""Batches of each worker at least, so that none is idle while another one simulates the last."""
 BATCH_SECONDS = 0.25
 """Duration of a batch: a hundred times what it costs besides its rollouts, and a campaign still ends when it should."""
 
@@ -82,11 +91,24 @@ def first_samples(cost: float | None) -> FirstSize:
     return FirstSize(int(min(max(affordable, FEWEST_SAMPLES), MOST_SAMPLES)), 1)
 
 
-def proposed_batch(seconds: float, size: int) -> int:
-    """Return the key `batch` for rollouts that take so long and whose files have so many bytes; a power of two.
+def proposed_batch(seconds: float, size: float, rollouts: float = math.inf, workers: int = WORKERS) -> int:
+    """Return the key `batch` for rollouts that take so long in a batch, and so many bytes; a power of two.
 
-    >>> proposed_batch(0.001, 4000), proposed_batch(1.0, 4000), proposed_batch(1e-5, 100_000)
+    `rollouts` are those whose starts no rollout decides: all of a problem, or those of a test where each is decided by
+    the tests before it. It is 1 where a batch would not pay, or would leave workers idle.
+
+    >>> proposed_batch(0.001, 4000), proposed_batch(0.1, 4000), proposed_batch(1e-5, 100_000)
     (128, 1, 64)
+    >>> proposed_batch(1e-5, 4000, rollouts=2995, workers=2), proposed_batch(1e-5, 4000, rollouts=8)
+    (256, 1)
     """
-    most = min(BATCH_SECONDS / max(seconds, 1e-9), BATCH_BYTES / max(size, 1), LARGEST_BATCH)
+    if seconds > LONG:
+        return 1
+    fewest = BATCHES * workers
+    most = min(BATCH_SECONDS / max(seconds, 1e-9), BATCH_BYTES / max(size, 1), LARGEST_BATCH, rollouts / fewest)
     return 1 << int(math.log2(max(most, 1.0)))
+
+
+def undecided_rollouts(plans: Iterable["ProblemPlan"]) -> int:
+    """Return the rollouts of a problem whose starts no rollout decides, of the problem that has most of them."""
+    return max(len(each.rollouts) * (each.budget if each.is_planned else 1) for each in plans)

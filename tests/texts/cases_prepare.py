@@ -24,9 +24,10 @@ from perfbound.orchestrator.prepare.size import FirstSize
 from perfbound.schemas.system_check import SampleTimes, Trial
 from tests.texts import Cases, refusal, rows
 from tests.unit.prepare.calibrate import test_constants, test_margin
-from tests.unit.prepare.check_system import test_judge
+from tests.unit.prepare.check_system import test_batches, test_judge
 from tests.unit.prepare.init import test_file
 from tests.unit.prepare.plan import test_plan, test_sizes, test_text
+from tests.unit.prepare.plan.test_fleet_need import BATCHED, IN_BATCHES
 
 MB = test_judge.MB
 
@@ -71,6 +72,10 @@ def check_system(_folder: Path) -> Cases:
     )
     program = replace(test_judge.evidence(), runs=(test_judge.TRIALS_HUNG,), program="./pendulum --fast")
     yield "a program that hangs", _wrong({each.check: each for each in judge(program)})
+    for against in ("alone", "order", "again", "others"):
+        yield f"batches: {against}", _line(test_batches.judged(against))
+    yield "batches: the unit", _line(test_batches.judged("alone", unit=True))
+    yield "batches: equal", "\n".join(_line(test_batches.judged(unit=unit)) for unit in (False, True))
     yield "remedies for programs", "\n".join(f"{name}: {remedy}" for name, remedy in OF_PROGRAM.items())
 
 
@@ -120,6 +125,7 @@ def init(_folder: Path) -> Cases:
     nominal, gap = test_file.proposal(-2.0, 17.0, 0.0, 0.1), test_file.proposal(0.1, 3.0, "derived", 0.1)
     two = test_file.campaign(nominal=nominal, gap=gap)
     yield "two problems", campaign_text(two)
+    yield "samples in batches", campaign_text(test_file.sampled(batch=256))
     yield "questions", "\n".join(f"{name}: {each.words}" for name, each in QUESTIONS.items())
 
 
@@ -154,6 +160,7 @@ def plan(_folder: Path) -> Cases:
         "as many workers as rollouts": fleet_plan(8, test_text.PILOT, [test_text.problem()], [], 10.0),
         "workers without work": fleet_plan(64, test_text.PILOT, [test_text.problem()], [], 10.0),
         "the orchestrator limits": fleet_plan(64, fast, [test_text.problem(64)], [], 10.0),
+        "batches": fleet_plan(128, BATCHED, [IN_BATCHES], [], 10.0),
         "second opinions": fleet_plan(8, test_text.PILOT, [test_text.problem()], [], 10.0, second_opinion=0.1),
     }.items():
         console = Console(file=io.StringIO(), width=120)

@@ -87,8 +87,8 @@ class Vectorised(SystemUnderTest, Protocol):
         """Simulate a rollout from each row of `starts` (R, p), with its seed of `seeds` (R,), in one call.
 
         Return an array (R, T, n), the columns in the order of the spec and the time first, which is the same for all.
-        Each rollout is the one that `rollout` gives, bit by bit, but
-        for a system whose spec says `batch_is_the_unit`. One whose numbers are not finite fails alone.
+        Each rollout is the one that `rollout` gives, bit by bit, but for a system whose spec says `batch_is_the_unit`.
+        One whose numbers are not finite fails alone, and in the latter with its batch.
 
         Raises:
             SimulationError: the batch cannot be simulated.

@@ -60,7 +60,7 @@ def system(
 
     A `vectorised` function simulates R rollouts in one call: it gets each parameter as an array (R,) and `seeds` as an
     array (R,), and returns one array (R, T, n), one array (R, T) for each column, or a dict of such arrays. With
-    `batch_is_the_unit` a rollout may depend on the others of its batch.
+    `batch_is_the_unit` its last digits may depend on the size of the batch and on the place in it.
 
     Raises:
         DefinitionError: signature and arguments do not fit each other.

@@ -57,7 +57,8 @@ class Recheck:
             return None
         original = self.rollouts[self.differing[0]]
         start = self._recorded.start(original)
-        return self._header.template.request(original, start, rollout_seed(self._header, original))
+        seed, within = rollout_seed(self._header, original), self._recorded.within(original)
+        return self._header.template.request(original, start, seed, within=within)
 
     @classmethod
     def wanted(cls, header: Header) -> bool:

@@ -93,7 +93,12 @@ def assumptions(
         "rollouts": sum(sum(account.counts.values()) for account in ledger.accounts.values())
     }
     found.append(assumption("finite_rollouts", "derived", rollouts))
-    found.append(_reproducible(checks.recheck, measured=measured, irreproducible=irreproducible))
+    reproducible = _reproducible(checks.recheck, measured=measured, irreproducible=irreproducible)
+    if reproducible.form is None and ledger.header.spec.batch_is_the_unit:
+        reproducible = assumption(
+            reproducible.id, reproducible.status, reproducible.values, form="reproducible_batches"
+        )
+    found.append(reproducible)
     found += [*_remarked(ledger), *_reduced(ledger), *_discarded(ledger), *_extended(ledger)]
     if set(PAIR) <= set(accounts):
         # The product needs that neither problem uses the other's data; only method `paper` claims it.

@@ -1,6 +1,7 @@
 """`perfbound check-system`: rollouts in child processes, and the findings about the system, as a table and as JSON."""
 
 import json
+import math
 import os
 import shlex
 import tempfile
@@ -21,11 +22,13 @@ from ....schemas.rollout import RolloutRequest
 from ....schemas.system import SystemSpec, Variant
 from ....schemas.system_check import ChildRun, Trial
 from ....schemas.trajectory.trajectory import decode
+from ...campaign.plan import plans
 from ...campaign.starts import check_where
 from ...certificate.verify.stages import Report
 from ...fleet.children.child import named_campaign, system_options, system_spec
 from ...fleet.children.simulate import chosen_horizon, chosen_options
 from ..seen_margins import SeenMargins
+from ..size import undecided_rollouts
 from .findings import SystemFinding
 from .judge import judge
 from .measure import measure_in_children
@@ -121,6 +124,7 @@ def checked_system(
     if not fresh.ended and all(found.error for found in fresh.measured):
         runs.append(rolled("rollouts", trials.few()))
     together: tuple[ChildRun, ...] = ()
+    batched: ChildRun | None = None
     usable = any(not found.error for run in runs for found in run.measured)
     if usable and not runs[-1].ended:
         seconds = min((found.seconds for found in fresh.measured), default=0.0)
@@ -129,10 +133,16 @@ def checked_system(
         runs.append(rolled("opposite order", trials.second()))
         if not any(run.ended for run in runs):
             together = rolled_at_once("two at a time", trials.together(seconds))
+        if spec.vectorised:
+            # Not the first one of a process, which may compile.
+            later = min(found.seconds for run in runs for found in run.measured if not found.error)
+            batched = rolled("batches", trials.batches(later))
     measurements = Measurements(
         spec,
         (*runs, *ended),
         together=together,
+        batched=batched,
+        undecided=undecided_rollouts(plans(config, spec).values()) if margins and config else math.inf,
         limit=limit,
         processors=len(os.sched_getaffinity(0)),
         own_horizon=own is not None,

@@ -127,10 +127,21 @@ def judge_speed(measurements: Measurements) -> SystemFinding | None:
     rate, workers = 1 / max(seconds, 1e-9), measurements.processors
     text = f"{seconds * 1000:.3g} ms a rollout, {size / 1000:,.0f} kB its file"
     rates = f"about {_rate_text(rate)} rollouts/s from 1 worker, at most {_rate_text(rate * workers)} from {workers}"
-    batch = proposed_batch(seconds, size)
+    return passed(
+        "speed", f"{text}; {rates} (the processors of this machine){_batch_text(measurements, seconds, size)}"
+    )
+
+
+def _batch_text(measurements: Measurements, seconds: float, size: int) -> str:
+    """Return which batch is proposed; nothing where a batch would not pay, or rollouts cannot share a time grid."""
+    batched = [found.seconds for found in measurements.batched.measured] if measurements.batched else []
+    in_batch = max(batched, default=seconds)
+    batch = proposed_batch(in_batch, size, measurements.undecided, measurements.processors)
+    if batch == 1 or len({found.grid for _, found in measurements.good}) > 1:
+        return ""
     # A rollout of its own costs the campaign some milliseconds more than its simulation.
-    together = f"; with the key batch = {batch} a campaign simulates so many at once" if batch > 1 else ""
-    return passed("speed", f"{text}; {rates} (the processors of this machine){together}")
+    cost = f", {in_batch * 1000:.2g} ms each" if batched else ""
+    return f"; with the key batch = {batch} a campaign simulates so many at once{cost}"
 
 
 def _rate_text(rate: float) -> str:

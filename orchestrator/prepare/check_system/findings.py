@@ -13,6 +13,7 @@ SYSTEM_CHECKS = {
     "times": "the first sample is at 0, the times increase in equal steps, the last sample is at the horizon",
     "repeatable": "equal requests give equal bytes: again, after other rollouts, in another process",
     "together": "rollouts of two processes at the same time give the same as each alone",
+    "batches": "a rollout is the same in a batch and alone, whatever the others are and in which order",
     "seed": "the rollouts of a noisy variant differ between seeds, those of another one do not",
     "random state": "no rollout depends on the global random state, or changes it",
     "horizon": "a longer horizon gives a longer trajectory with the same beginning",

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from ....schemas.errors import one_line
 from ....schemas.system_check import ChildRun
-from . import costs, files, repeats, trajectories
+from . import batches, costs, files, repeats, trajectories
 from .findings import OF_PROGRAM, SystemFinding, failed, passed
 from .measurements import Measurements
 
@@ -62,6 +62,7 @@ _CHECKS: dict[str, Callable[[Measurements], SystemFinding | None]] = {
     "times": trajectories.judge_times,
     "repeatable": repeats.judge_repeatable,
     "together": judge_together,
+    "batches": batches.judge_batches,
     "seed": repeats.judge_seed,
     "random state": repeats.judge_random_state,
     "horizon": trajectories.judge_horizon,

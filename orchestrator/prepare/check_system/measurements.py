@@ -1,5 +1,6 @@
 """What was measured of a system."""
 
+import math
 from dataclasses import dataclass
 
 from ....schemas.system import SystemSpec
@@ -21,6 +22,10 @@ class Measurements:
     processors: int
     together: tuple[ChildRun, ...] = ()
     """Processes that ran at the same time; empty if none did."""
+    batched: ChildRun | None = None
+    """The batches of a vectorised system."""
+    undecided: float = math.inf
+    """Rollouts of the campaign whose starts no rollout decides."""
     own_horizon: bool = False
     program: str = ""
     """Of the campaign file, with its arguments; empty for a system in Python."""

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ....schemas.batch import batch_request
 from ....schemas.file.parameters import parameter_ranges
 from ....schemas.file.space import Space
 from ....schemas.ids import RolloutId
@@ -26,6 +27,8 @@ GROWTH_SECONDS, GROWTH_ROLLOUTS = 10.0, 300
 """Limits of the rollouts that follow to measure the growth of memory, and to see noise that rarely acts."""
 TOGETHER_SECONDS, TOGETHER_ROLLOUTS, FEWEST_TOGETHER = 5.0, 200, 8
 """Of each of two processes that run at the same time."""
+BATCHED = 32
+"""Rollouts of a batch that is compared with them."""
 MANY_SEEDS, FEWEST_SEEDS = 40, 10
 """Seeds at one start that show whether a system uses the whole seed, and the fewest that are worth a look."""
 MOST_ATTEMPTS = 20_000
@@ -34,7 +37,7 @@ FIRST_FEW = 6
 """Rollouts after which a system whose every rollout fails is tried no further."""
 GOLDEN = (5**0.5 - 1) / 2
 """Its multiples, modulo 1, are spread evenly."""
-START, CORNER, RANDOM, GROWTH, SEED = "start", "corner", "random", "growth", "seed"
+START, CORNER, RANDOM, GROWTH, SEED, BATCH = "start", "corner", "random", "growth", "seed", "batch"
 """Kinds of rollouts: their `problem`."""
 
 Point = tuple[float, ...]
@@ -127,6 +130,18 @@ class Trials:
         longest = min(seconds, TOGETHER_SECONDS / count)
         pauses = (longest * (number * GOLDEN % 1) for number in range(count))
         return forth, tuple(each.model_copy(update={"pause": pause}) for each, pause in zip(back, pauses, strict=True))
+
+    def batches(self, seconds: float) -> tuple[Trial, ...]:
+        """Return a batch of each variant, of rollouts that take `seconds` each alone."""
+        count = max(FEWEST_TOGETHER, min(BATCHED, int(TOGETHER_SECONDS / max(seconds, 1e-6))))
+        return tuple(self._batch(variant, count) for variant in self.variants)
+
+    def _batch(self, variant: Variant, count: int) -> Trial:
+        requests = [trial.request for trial in self._others() if trial.request.variant == variant][-count:]
+        first = RolloutId(BATCH, 0, variant, 0)
+        starts, seeds = [each.x for each in requests], [each.seed for each in requests]
+        batch = batch_request(self.template, first, starts, seeds)
+        return Trial(request=batch.single(0), batch=batch)
 
     def few(self) -> tuple[Trial, ...]:
         """Return a few rollouts at other starts, for a system whose first ones all fail."""

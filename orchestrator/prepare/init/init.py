@@ -30,7 +30,7 @@ from ..calibrate.constants import Constant
 from ..check_system.files import to_declare
 from ..child_rollouts import ChildRolloutError, ChildSystem
 from ..rounded import clip_around, covering, rounded_up
-from ..size import LEAST_COST, WORKERS, first_samples, first_size
+from ..size import LEAST_COST, WORKERS, first_samples, first_size, proposed_batch
 from . import values
 from .file import campaign_text
 from .pilot import SECONDS, Pilot, PilotError, PilotPlan, run_pilot
@@ -110,7 +110,7 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
             f"--question {wish.question}: rollouts of {spec.name} are one sample, and this question needs longer ones; "
             "choose --question worst"
         )
-    campaign = _first_campaign(wish, spec, choice, basis, found.cost if found else None)
+    campaign = _first_campaign(wish, spec, choice, basis, found)
     if found is not None and not question.drawn:
         system = ChildSystem(wish.reference, spec, limit, LONGEST * SECONDS)
         constants = yield from _calibrated(campaign, system, found, out)
@@ -314,9 +314,11 @@ def _reaching(constant: Constant, least: float) -> Constant:
 
 
 def _first_campaign(
-    wish: Wish, spec: SystemSpec, choice: SystemChoice, basis: FirstValues, cost: float | None
+    wish: Wish, spec: SystemSpec, choice: SystemChoice, basis: FirstValues, pilot: Pilot | None
 ) -> FirstCampaign:
-    question = QUESTIONS[wish.question]
+    question, cost = QUESTIONS[wish.question], pilot.cost if pilot else None
+    size = first_samples(cost) if question.drawn else None
+    in_batch = pilot.in_batch if pilot else None
     names = question.problems
     noisy = frozenset(name for name in names if _noisy(name, spec))
     needs_clip = question.always_clip or (
@@ -332,9 +334,10 @@ def _first_campaign(
         basis=basis if needs_clip else replace(basis, clip=None),
         lengths=values.length_scales(spec.parameters),
         candidates=FIXED_STARTS["rigorous"].default if not question.drawn and many else None,
-        size=first_samples(cost) if question.drawn else first_size(cost, noisy=bool(noisy), variants=variants),
+        size=size or first_size(cost, noisy=bool(noisy), variants=variants),
         noisy=noisy,
         cost=cost,
+        batch=proposed_batch(*in_batch, rollouts=size.max_tests) if in_batch and size else 1,
     )
 
 

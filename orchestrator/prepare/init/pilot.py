@@ -13,7 +13,17 @@ from ....schemas.rollout import RequestTemplate, RolloutRequest
 from ....schemas.system import OptionValue, SystemSpec, Variant
 from ....schemas.trajectory.trajectory import Floats, Trajectory
 from ...campaign.admission import check_whole
-from ..child_rollouts import ChildRolloutError, ChildSystem, finished, simulate_in_child, undeclared_files
+from ..child_rollouts import (
+    BatchCost,
+    ChildRolloutError,
+    ChildSystem,
+    cost_in_batch,
+    file_size,
+    finished,
+    simulate_in_child,
+    trial_batches,
+    undeclared_files,
+)
 from .values import NOISY_ROLLOUTS, Score, pilot_starts, settled_horizon
 
 SECONDS = 60.0
@@ -41,6 +51,8 @@ class Pilot:
     """Seconds of a rollout; None after a single one."""
     undeclared: tuple[str, ...] = ()
     """Files that the rollouts have read and that are no part of the system, relative to its folder."""
+    in_batch: BatchCost | None = None
+    """Of a rollout; None where rollouts cannot be a batch."""
 
     @property
     def size(self) -> str:
@@ -66,11 +78,15 @@ class PilotPlan:
         """Return the rollouts of a variant at each start."""
         return NOISY_ROLLOUTS if variant in self.spec.noisy else 1
 
+    @property
+    def template(self) -> RequestTemplate:
+        """The common part of the requests."""
+        return RequestTemplate.of(self.spec, self.options, horizon=self.horizon, visual=False, campaign="init")
+
     def requests(self) -> list[RolloutRequest]:
         """Return the requests, those of a start one after the other."""
-        template = RequestTemplate.of(self.spec, self.options, horizon=self.horizon, visual=False, campaign="init")
         return [
-            template.request(RolloutId("pilot", test, variant, replicate), x, test * NOISY_ROLLOUTS + replicate)
+            self.template.request(RolloutId("pilot", test, variant, replicate), x, test * NOISY_ROLLOUTS + replicate)
             for test, x in enumerate(pilot_starts(self.spec.parameters))
             for variant in self.variants
             for replicate in range(self.seeds(variant))
@@ -87,9 +103,10 @@ def run_pilot(plan: PilotPlan, score: Score) -> Pilot:
     """
     requests = plan.requests()
     scores: dict[Variant, list[float]] = {variant: [] for variant in plan.variants}
-    horizon, written, undeclared = None, [], set[str]()
-    for request, trajectory, at in _finished(plan, requests, undeclared):
+    horizon, written, beside, grids = None, [], _Beside(), set[bytes]()
+    for request, trajectory, at in _finished(plan, requests, beside):
         written.append(at)
+        grids.add(trajectory.samples[:, 0].tobytes())
         if horizon is None:
             horizon = settled_horizon(plan.horizon, trajectory)
         try:
@@ -108,18 +125,31 @@ def run_pilot(plan: PilotPlan, score: Score) -> Pilot:
     # The first rollout loads the simulator.
     cost = float(np.median(np.diff(written))) if len(written) > 1 else None
     starts = np.array(pilot_starts(plan.spec.parameters)[:whole])
-    return Pilot(starts, horizon, shaped, cost, tuple(sorted(undeclared)))
+    in_batch = beside.in_batch or (None if cost is None else BatchCost(cost, beside.size))
+    return Pilot(starts, horizon, shaped, cost, beside.undeclared, in_batch if len(grids) == 1 else None)
+
+
+@dataclass(slots=True)
+class _Beside:
+    """What the child shows beside its rollouts."""
+
+    undeclared: tuple[str, ...] = ()
+    size: float = 0.0
+    """Bytes of the file of a rollout."""
+    in_batch: BatchCost | None = None
 
 
 def _finished(
-    plan: PilotPlan, requests: list[RolloutRequest], undeclared: set[str]
+    plan: PilotPlan, requests: list[RolloutRequest], beside: _Beside
 ) -> Iterator[tuple[RolloutRequest, Trajectory, float]]:
-    """Yield the rollouts that one child simulates in its time, and when; fill in the files that they have read."""
+    """Yield the rollouts that one child simulates in its time, and when; fill in what else it shows."""
     system = ChildSystem(plan.reference, plan.spec, plan.limit, SECONDS)
     try:
         with tempfile.TemporaryDirectory() as name:
-            simulate_in_child(system, requests, Path(name))
-            undeclared.update(undeclared_files(Path(name)))
+            simulate_in_child(system, [*requests, *trial_batches(plan.template, requests)], Path(name))
+            beside.undeclared = tuple(sorted(undeclared_files(Path(name))))
+            beside.in_batch = cost_in_batch(Path(name), len(requests), plan.spec)
+            beside.size = file_size(Path(name))
             yield from finished(system, requests, Path(name))
     except ChildRolloutError as error:
         raise PilotError(str(error)) from None

@@ -74,6 +74,8 @@ class FirstCampaign:
     """Problems whose rollouts depend on the seed."""
     cost: float | None = None
     """Seconds of a rollout, if known."""
+    batch: int = 1
+    """Rollouts of a batch, where the samples do not depend on each other."""
 
     @property
     def full_size(self) -> FirstSize:
@@ -123,6 +125,9 @@ def _samples(campaign: "FirstCampaign") -> Iterator[str]:
         f"show at 95 % that at most {100 * (1 - 0.05 ** (1 / samples)):.2g} % fail.{slow}"
     )
     yield f"max_tests = {samples}"
+    if campaign.batch > 1:
+        yield "# Rollouts that a worker simulates at once: quick ones cost more to hand out than to simulate."
+        yield f"batch = {campaign.batch}"
 
 
 MOST_SEARCHED = 299

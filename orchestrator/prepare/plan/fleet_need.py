@@ -8,10 +8,12 @@
 | w      | `window`     | tests of a problem in flight                                   | 1    |
 | g      | `thinking`   | time of a problem's mathematics in all                         | s    |
 | N      | `workers`    | workers                                                        | 1    |
-| K      | `side_by_side` | rollouts that can run at the same time: sum of w k           | 1    |
+| b      | `batch`      | rollouts of an assignment                                      | 1    |
+| K      | `at_once`    | assignments that can run at the same time: sum of w k / b      | 1    |
 | s      | `second_opinion` | share of the rollouts that two workers simulate            | 1    |
 
-The rollouts take at least (sum of n k c) / min(N, K), and each problem n/w rounds one after the other. The loop of the
+The rollouts take at least (sum of n k c) / min(N, K), and each problem n/w rounds one after the other. In a batch c is
+less: what an assignment costs besides its rollouts is shared. The loop of the
 orchestrator does the mathematics and takes the results, one at a time. A second opinion begins when the first result is
 there: it makes a rollout longer, and no more of them run side by side. A range goes from all of this at the same time,
 at the fewest tests, to one after the other, at the most tests. Standard library only.
@@ -29,6 +31,8 @@ RESULT_SECONDS = 1.8e-3
 """CPU time of the orchestrator's loop for a result of 100 kB, see docs/performance.md."""
 RESULT_LOAD = 4.0e-3
 """CPU time of all threads of the orchestrator for a result of 100 kB over a link, see docs/performance.md."""
+BATCH_LOAD, BATCHED_LOAD, BATCHED_BYTE_LOAD = 7.5e-3, 2.1e-5, 8e-9
+"""CPU time of the orchestrator for a batch, and for each rollout and each byte of it, see docs/performance.md."""
 HEARTBEAT_SECONDS = 105e-6
 """CPU time of the orchestrator for a heartbeat, in the transport and in the loop, see docs/performance.md."""
 MESSAGE = 300
@@ -74,6 +78,37 @@ class PilotFigures:
     """Bytes of the file of a rollout, the mean."""
     memory: int
     """Bytes of the process at most."""
+    added: float | None = None
+    """Seconds that one more rollout of a batch takes; None where a batch takes as long as its rollouts."""
+
+    @property
+    def in_batch(self) -> float:
+        """Seconds of a rollout in a large batch."""
+        return self.seconds if self.added is None else min(self.added, self.seconds)
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """The seconds of a rollout on its worker."""
+
+    alone: float
+    added: float
+    """Of one more rollout of a batch."""
+    trip: float = 0.0
+    """Of an assignment, between two of them."""
+
+    @classmethod
+    def of(cls, pilot: PilotFigures, alone: float, slower: float) -> "Pace":
+        """Return the pace of rollouts that take `alone` seconds alone, in times of it."""
+        return cls(slower * alone, slower * min(pilot.in_batch, alone))
+
+    def seconds(self, batch: int) -> float:
+        """Return the seconds of a rollout in a batch of so many.
+
+        >>> Pace(0.5, 0.1, 0.1).seconds(1), Pace(0.5, 0.1, 0.1).seconds(5)
+        (0.6, 0.2)
+        """
+        return self.added + (self.alone - self.added + self.trip) / batch
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +124,10 @@ class ProblemSize:
     """Seconds of its mathematics in all."""
     matrices: Guess = NOTHING
     """Bytes of the matrices of its method: none, half of what its tests may take, what the most tests may take."""
+    batch: int = 1
+    """Rollouts of an assignment."""
+    work: float = 1.0
+    """Of the orchestrator for a rollout, in times of that for a result of one."""
 
     @property
     def rollouts(self) -> Guess:
@@ -96,9 +135,10 @@ class ProblemSize:
         return Guess(self.tests.middle * self.per_test, self.tests.low * self.per_test, self.tests.high * self.per_test)
 
     @property
-    def side_by_side(self) -> int:
-        """Its rollouts that can run at the same time."""
-        return max(1, min(self.window, math.ceil(self.tests.high))) * self.per_test
+    def at_once(self) -> int:
+        """Its assignments that can run at the same time."""
+        rollouts = max(1, min(self.window, math.ceil(self.tests.high))) * self.per_test
+        return math.ceil(rollouts / self.batch)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +148,10 @@ class Load:
     results: float
     heartbeats: float
     results_per_second: float
+    """Rollouts, whose results may come in batches."""
     heartbeats_per_second: float
+    work: float = 1.0
+    """Of a rollout, as in `ProblemSize`."""
 
     @property
     def whole(self) -> float:
@@ -117,8 +160,13 @@ class Load:
 
     @property
     def most_results(self) -> float:
-        """Results per second that one core takes beside the heartbeats; a tenth of a core stays for them."""
-        return max(0.1, 1.0 - self.heartbeats) / RESULT_LOAD
+        """Rollouts per second that one core takes beside the heartbeats; a tenth of a core stays for them."""
+        return 1 / (self.result * self.work)
+
+    @property
+    def result(self) -> float:
+        """Seconds for a result of one rollout, with all threads on one core beside the heartbeats."""
+        return RESULT_LOAD / max(0.1, 1.0 - self.heartbeats)
 
     @property
     def limits(self) -> bool:
@@ -139,7 +187,7 @@ class FleetPlan:
     """Attempts beside those of the rollouts; they leave no file."""
     seconds: Guess
     useful_workers: int
-    """More of them have nothing to do while the problems run."""
+    """More of them have nothing to do while the problems run: so many assignments are under way at most."""
     useful_in_checks: int
     files: Guess
     """Bytes of the trajectories on the disk."""
@@ -167,13 +215,14 @@ def fleet_plan(
 
     `second_opinion` is the share of the rollouts that two workers simulate.
     """
-    useful = sum(each.side_by_side for each in problems)
+    useful = sum(each.at_once for each in problems)
     rollouts = _added([each.rollouts for each in (*problems, *checks)])
-    load = orchestrator_load(workers, pilot, useful, hung_after)
+    load = orchestrator_load(workers, pilot, problems, hung_after)
+    blocks = _added([_per_assignment(each) for each in (*problems, *checks)])
     files = Guess(
-        rollouts.middle * (pilot.size + BLOCK / 2),
+        rollouts.middle * pilot.size + blocks.middle * BLOCK / 2,
         rollouts.low * pilot.size * 0.8,
-        rollouts.high * (pilot.size * 1.25 + BLOCK),
+        rollouts.high * pilot.size * 1.25 + blocks.high * BLOCK,
     )
     rate = min(load.results_per_second, load.most_results)
     return FleetPlan(
@@ -185,7 +234,7 @@ def fleet_plan(
         second_opinions=second_opinions(workers, rollouts, second_opinion),
         seconds=campaign_seconds(workers, pilot, problems, checks, hung_after, second_opinion=second_opinion),
         useful_workers=useful,
-        useful_in_checks=max((each.side_by_side for each in checks), default=0),
+        useful_in_checks=max((each.at_once for each in checks), default=0),
         files=files,
         storage=Guess(
             files.middle + rollouts.middle * DATABASE_BYTES + REPORT_BYTES / 20,
@@ -237,25 +286,27 @@ def campaign_seconds(
     if share and workers == 1:  # a worker that is alone is replaced before each second opinion
         loading = share / (1 + share) * pilot.startup
         pilot = replace(pilot, seconds=pilot.seconds + loading, fastest=pilot.fastest + loading)
-    useful = sum(each.side_by_side for each in problems)
-    result = 1 / orchestrator_load(workers, pilot, useful, hung_after).most_results
+    useful = sum(each.at_once for each in problems)
+    result = orchestrator_load(workers, pilot, problems, hung_after).result
     rollouts = _added([each.rollouts for each in (*problems, *checks)])
     extra = second_opinions(workers, rollouts, share)
     # Of those with `share` the sizes below have account.
     first = Guess(extra.middle - share * rollouts.middle, 0.0, extra.high - share * rollouts.high)
     at_once = max(1, min(workers, useful))
     problems, checks = ([_with_second_opinions(each, share) for each in sizes] for sizes in (problems, checks))
-    fast, usual, slow = FASTER * pilot.fastest, pilot.seconds, SLOWER * pilot.seconds
+    fast = Pace.of(pilot, pilot.fastest, FASTER)
+    usual, slow = (replace(Pace.of(pilot, pilot.seconds, times), trip=ROUND_TRIP) for times in (1.0, SLOWER))
+    batch = problems[0].batch if problems else 1
     low = [_phase(workers, fast, problems, "low"), *_in_turn(workers, fast, checks, "low")]
     middle = [
         _phase(workers, usual, problems, "middle", result),
         *_in_turn(workers, usual, checks, "middle", result),
-        first.middle * (usual + ROUND_TRIP) / at_once,
+        first.middle * usual.seconds(batch) / at_once,
     ]
     high = [
         _one_after_the_other(workers, slow, problems, result),
         *_in_turn(workers, slow, checks, "high", result),
-        first.high * (slow + 2 * ROUND_TRIP) / at_once,
+        first.high * replace(slow, trip=2 * ROUND_TRIP).seconds(batch) / at_once,
     ]
     return Guess(
         pilot.startup + sum(middle) + CLOSING[1],
@@ -270,48 +321,72 @@ def _with_second_opinions(size: ProblemSize, share: float) -> ProblemSize:
     return replace(size, tests=tests, window=max(1, min(size.window, math.ceil(size.tests.high))))
 
 
-def _in_turn(workers: int, cost: float, checks: Sequence[ProblemSize], end: End, result: float = 0.0) -> list[float]:
+def _in_turn(workers: int, pace: Pace, checks: Sequence[ProblemSize], end: End, result: float = 0.0) -> list[float]:
     """Return the seconds of the checks, which come one after the other."""
-    return [_phase(workers, cost, [each], end, result) for each in checks]
+    return [_phase(workers, pace, [each], end, result) for each in checks]
 
 
-def _phase(workers: int, cost: float, sizes: Sequence[ProblemSize], end: End, result: float = 0.0) -> float:
+def _phase(workers: int, pace: Pace, sizes: Sequence[ProblemSize], end: End, result: float = 0.0) -> float:
     """Return the seconds of problems that run side by side, where everything runs at the same time that can.
 
     `result` is the time that the orchestrator takes for a result, with all its threads on one core.
     """
     if not sizes:
         return 0.0
-    rollouts = sum(_end_of_range(each.rollouts, end) for each in sizes)
-    at_once = min(workers, sum(each.side_by_side for each in sizes))
+    at_once = min(workers, sum(each.at_once for each in sizes))
     # At best the trip of one result hides behind the rollout of another, and a result is small.
-    trip, in_loop = (0.0, RESULT_SECONDS / 3) if end == "low" else (ROUND_TRIP, RESULT_SECONDS)
-    loop = rollouts * in_loop + sum(_end_of_range(each.thinking, end) for each in sizes)
-    longest = max(_rounds(each, workers, cost + trip, end) for each in sizes)
-    return max(rollouts * (cost + trip) / at_once, rollouts * result, loop, longest)
+    in_loop = RESULT_SECONDS / 3 if end == "low" else RESULT_SECONDS
+    work = sum(_end_of_range(each.rollouts, end) * each.work for each in sizes)
+    loop = work * in_loop + sum(_end_of_range(each.thinking, end) for each in sizes)
+    longest = max(_rounds(each, workers, pace, end) for each in sizes)
+    return max(_simulated(pace, sizes, end) / at_once, work * result, loop, longest)
 
 
-def _rounds(size: ProblemSize, workers: int, cost: float, end: End) -> float:
+def _simulated(pace: Pace, sizes: Sequence[ProblemSize], end: End) -> float:
+    """Return the seconds that one worker takes for all rollouts."""
+    return sum(_end_of_range(each.rollouts, end) * pace.seconds(each.batch) for each in sizes)
+
+
+def _rounds(size: ProblemSize, workers: int, pace: Pace, end: End) -> float:
     """Return the seconds of one problem alone: its rounds, one after the other, and its mathematics between them."""
-    at_once = min(workers, size.side_by_side)
-    return _end_of_range(size.tests, end) * size.per_test / at_once * cost + _end_of_range(size.thinking, end)
+    return _simulated(pace, [size], end) / min(workers, size.at_once) + _end_of_range(size.thinking, end)
 
 
-def _one_after_the_other(workers: int, cost: float, sizes: Sequence[ProblemSize], result: float) -> float:
+def _one_after_the_other(workers: int, pace: Pace, sizes: Sequence[ProblemSize], result: float) -> float:
     """Return the seconds of problems at their most tests, where nothing of the loop runs beside the rollouts."""
-    at_once = min(workers, sum(each.side_by_side for each in sizes))
-    rollouts = sum(each.rollouts.high for each in sizes)
-    shared = rollouts * (cost + 2 * ROUND_TRIP) / at_once
-    longest = max((_rounds(each, workers, cost + ROUND_TRIP, "high") for each in sizes), default=0.0)
-    loop = rollouts * 2 * RESULT_SECONDS + SLOWER * sum(each.thinking.high for each in sizes)
-    return max(shared, longest, rollouts * result) + loop
+    at_once = min(workers, sum(each.at_once for each in sizes))
+    shared = _simulated(replace(pace, trip=2 * ROUND_TRIP), sizes, "high") / at_once
+    longest = max((_rounds(each, workers, pace, "high") for each in sizes), default=0.0)
+    work = sum(each.rollouts.high * each.work for each in sizes)
+    loop = work * 2 * RESULT_SECONDS + SLOWER * sum(each.thinking.high for each in sizes)
+    return max(shared, longest, work * result) + loop
 
 
-def orchestrator_load(workers: int, pilot: PilotFigures, useful: int, hung_after: float) -> Load:
+def batch_work(batch: int, size: float) -> float:
+    """Return the work for a rollout of a batch, as in `ProblemSize`; `size` is its bytes.
+
+    >>> batch_work(1, 3200.0), round(batch_work(256, 3200.0), 3)
+    (1.0, 0.019)
+    """
+    if batch == 1:
+        return 1.0
+    return min(1.0, (BATCH_LOAD / batch + BATCHED_LOAD + BATCHED_BYTE_LOAD * size) / RESULT_LOAD)
+
+
+def orchestrator_load(workers: int, pilot: PilotFigures, problems: Sequence[ProblemSize], hung_after: float) -> Load:
     """Return the load of the orchestrator while the problems run."""
-    rate = min(workers, useful) / max(pilot.seconds + ROUND_TRIP, 1e-6)
+    rollouts = sum(each.rollouts.middle for each in problems)
+    pace = Pace(pilot.seconds, pilot.in_batch, ROUND_TRIP)
+    seconds = _simulated(pace, problems, "middle") / rollouts if rollouts else pace.seconds(1)
+    work = sum(each.rollouts.middle * each.work for each in problems) / rollouts if rollouts else 1.0
+    rate = min(workers, sum(each.at_once for each in problems)) / max(seconds, 1e-6)
     beats = workers / heartbeat_interval(workers, hung_after)
-    return Load(rate * RESULT_LOAD, beats * HEARTBEAT_SECONDS, rate, beats)
+    return Load(rate * RESULT_LOAD * work, beats * HEARTBEAT_SECONDS, rate, beats, work)
+
+
+def _per_assignment(size: ProblemSize) -> Guess:
+    """Return the assignments of a problem, each of which is a file."""
+    return Guess(*(number / size.batch for number in (size.rollouts.middle, size.rollouts.low, size.rollouts.high)))
 
 
 def orchestrator_memory(problems: Sequence[ProblemSize], rollouts: Guess) -> Guess:

@@ -14,6 +14,7 @@ from ....schemas.file.config import CampaignConfig
 from ....schemas.ids import RECHECK, SPOT_CHECK, RolloutId
 from ....schemas.result.facts import Header
 from ....schemas.rollout import RolloutRequest
+from ....schemas.system import SystemSpec
 from ....schemas.trajectory.trajectory import Trajectory
 from ....schemas.values import Guess
 from ...campaign.admission import check_whole
@@ -30,8 +31,18 @@ from ...fleet.children.child import system_spec
 from ...mathematics.bounds.cost import MethodSize
 from ...mathematics.gp.points import point_at
 from ..calibrate.design import calibration_seed
-from ..child_rollouts import ChildRolloutError, ChildSystem, finished, peak_memory, simulate_in_child
-from .fleet_need import FleetPlan, PilotFigures, ProblemSize, fleet_plan
+from ..child_rollouts import (
+    ChildRolloutError,
+    ChildSystem,
+    cost_in_batch,
+    finished,
+    have_one_grid,
+    peak_memory,
+    simulate_in_child,
+    trial_batches,
+)
+from ..size import proposed_batch, undecided_rollouts
+from .fleet_need import FleetPlan, PilotFigures, ProblemSize, batch_work, fleet_plan
 from .rehearsal import REPEATED, PilotRollouts, Rehearsal, expected_tests, rehearsed
 
 ROLLOUTS = 10
@@ -39,6 +50,8 @@ SECONDS = 60.0
 """No rollout of the pilot starts later than this."""
 REHEARSAL = 15.0
 """Seconds of processor time that a problem is rehearsed at most; other work on the machine does not count."""
+WORTH = 4
+"""Times of its present batch from which on another one is worth a line."""
 LONG = 36_000.0
 """Seconds of mathematics that are worth a line."""
 NAME = "plan"
@@ -50,9 +63,18 @@ Report = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class _Pilot:
+    """What a pilot has simulated."""
+
     figures: PilotFigures
     starts: tuple[Start, ...]
     recorded: tuple[dict[str, list[Trajectory]], ...]
+    batch_size: float | None
+    """Bytes of a rollout in a batch; None where rollouts cannot be one."""
+
+    @property
+    def in_batches(self) -> PilotFigures:
+        """The figures of rollouts in batches."""
+        return replace(self.figures, size=self.batch_size or self.figures.size)
 
 
 def plan_campaign(config: CampaignConfig, source: Path, workers: int, report: Report = lambda _: None) -> FleetPlan:
@@ -79,10 +101,40 @@ def plan_campaign(config: CampaignConfig, source: Path, workers: int, report: Re
     except Stopped as stop:
         raise Stopped(stop.signal, "the pilot was ended, nothing was written") from None
     checks = tuple(_check_sizes(header, found, problems))
-    fleet = fleet_plan(
-        workers, pilot.figures, problems, checks, config.hung_after, second_opinion=config.second_opinion
+
+    def planned(batch: int) -> FleetPlan:
+        figures = pilot.figures if batch == 1 or pilot.batch_size is None else pilot.in_batches
+        each = [_in_batches(header, size, batch, figures.size) for size in problems]
+        return fleet_plan(workers, figures, each, checks, config.hung_after, second_opinion=config.second_opinion)
+
+    fleet = planned(config.batch)
+    notes = [*scope(found, listed_alone=True), *long_mathematics(config)]
+    if pilot.batch_size is not None:
+        rollouts = undecided_rollouts(found.values())
+        batch = proposed_batch(pilot.figures.in_batch, pilot.batch_size, rollouts, workers)
+        if batch >= WORTH * config.batch:
+            notes.append(_shorter(batch, planned(batch), fleet))
+    return replace(fleet, notes=tuple(notes))
+
+
+def _shorter(batch: int, found: FleetPlan, without: FleetPlan) -> str:
+    """Return how long the campaign would take with the batch that is proposed."""
+    return (
+        f"With the key `batch = {batch}` it would take about {duration(found.seconds.middle)}, in place of "
+        f"{duration(without.seconds.middle)}: a worker simulates so many rollouts at once."
     )
-    return replace(fleet, notes=(*scope(found, listed_alone=True), *long_mathematics(config)))
+
+
+def _in_batches(header: Header, size: ProblemSize, batch: int, file_bytes: float) -> ProblemSize:
+    """Return the size of a problem whose rollouts come in batches of `batch` at most."""
+    config = header.config.model_copy(update={"batch": batch})
+    plan = plans(config, header.spec)[size.name]
+    machine = plan.machine
+    tests = min(machine.block, machine.max_tests)
+    each = max(1, tests * len(plan.rollouts) // max(1, len(machine.batches(0))))
+    found = replace(size, window=machine.window * tests, batch=each, work=batch_work(each, file_bytes))
+    # What blocks cost besides their plan is in `BATCHED_LOAD`, and not what was rehearsed test by test.
+    return found if machine.block == 1 else replace(found, thinking=_planning(header, plan))
 
 
 def _rehearsal(plan: ProblemPlan, header: Header, pilot: PilotRollouts, report: Report) -> Rehearsal | None:
@@ -101,14 +153,19 @@ def _rehearsal(plan: ProblemPlan, header: Header, pilot: PilotRollouts, report: 
 
 def _problem_size(header: Header, plan: ProblemPlan, rehearsal: Rehearsal | None) -> ProblemSize:
     tests, basis = expected_tests(plan, rehearsal)
-    planning = sum(size.seconds for size in _sizes(header, plan) if size.method == "kriging")
-    thinking = Guess(planning, planning / 2, 2 * planning)
+    thinking = _planning(header, plan)
     if rehearsal is not None:
         each = [rehearsal.seconds_for(number) for number in (tests.middle, tests.low, tests.high)]
         thinking = Guess(each[0].middle, each[1].low, each[2].high)
     # A method keeps distinct starts alone, and most campaigns return to few.
     matrices = Guess(_matrices(header, plan, tests.middle) / 2, 0.0, _matrices(header, plan, tests.high))
     return ProblemSize(plan.name, tests, len(plan.rollouts), plan.window, basis, thinking, matrices)
+
+
+def _planning(header: Header, plan: ProblemPlan) -> Guess:
+    """Return the seconds of the mathematics before the first test."""
+    seconds = sum(size.seconds for size in _sizes(header, plan) if size.method == "kriging")
+    return Guess(seconds, seconds / 2, 2 * seconds)
 
 
 def _sizes(header: Header, plan: ProblemPlan) -> list[MethodSize]:
@@ -166,8 +223,9 @@ def _pilot(header: Header, found: Plans, system: ChildSystem) -> _Pilot:
                 requests.append(header.template.request(place, start, seed))
     with tempfile.TemporaryDirectory(prefix="perfbound-plan-") as name:
         folder, begin = Path(name), time.time()
-        simulate_in_child(system, requests, folder)
-        return _pilot_of(header, starts, list(finished(system, requests, folder)), folder, begin)
+        simulate_in_child(system, [*requests, *trial_batches(header.template, requests)], folder)
+        pilot = _pilot_of(header, starts, list(finished(system, requests, folder)), folder, begin)
+        return _with_batches(pilot, folder, header.spec, len(requests))
 
 
 def _pilot_of(
@@ -203,7 +261,16 @@ def _pilot_of(
         size=sum(sizes) / len(sizes),
         memory=peak_memory(folder),
     )
-    return _Pilot(figures, tuple(starts[: len(whole)]), tuple(whole))
+    one_grid = have_one_grid([trajectory for _, trajectory, _ in done])
+    return _Pilot(figures, tuple(starts[: len(whole)]), tuple(whole), figures.size if one_grid else None)
+
+
+def _with_batches(pilot: _Pilot, folder: Path, spec: SystemSpec, rollouts: int) -> _Pilot:
+    """Return a pilot with what a rollout of a vectorised system costs in a batch."""
+    found = cost_in_batch(folder, rollouts, spec)
+    if found is None:
+        return pilot
+    return replace(pilot, figures=replace(pilot.figures, added=found.seconds), batch_size=found.size)
 
 
 def _pilot_variants(header: Header, found: Plans) -> dict[str, int]:

@@ -11,7 +11,7 @@ from rich.text import Text
 from ....schemas.amounts import amount, counted
 from ....schemas.values import Guess
 from ...certificate.words.format import duration
-from .fleet_need import FleetPlan, ProblemSize
+from .fleet_need import FleetPlan, PilotFigures, ProblemSize
 
 Row = tuple[str, str, str, str]
 """What, the expected value, its range, what it rests on."""
@@ -47,7 +47,7 @@ def plan_rows(found: FleetPlan) -> list[Row]:
             "time",
             duration(found.seconds.middle),
             _range(found.seconds, duration),
-            f"{pilot.seconds:.2g} s a rollout, of {pilot.rollouts:,} here",
+            f"{pilot.seconds:.2g} s a rollout, of {pilot.rollouts:,} here{_added(pilot)}",
         ),
         (
             "storage",
@@ -81,15 +81,17 @@ def plan_rows(found: FleetPlan) -> list[Row]:
 def plan_limits(found: FleetPlan) -> list[str]:
     """Return what limits the campaign."""
     useful = found.useful_workers
+    what = "batch" if any(each.batch > 1 for each in found.problems) else "rollout"
     result = [
-        f"While the problems run, at most {counted(useful, 'rollout')} can run side by side: more workers than that "
+        f"While the problems run, at most {counted(useful, what)} can run side by side: more workers than that "
         "have nothing to do."
     ]
     if found.useful_in_checks > useful:
         result[0] += f" In the closing checks it is {found.useful_in_checks:,}."
     if found.workers > useful:
         waiting = counted(found.workers - useful, "worker")
-        result.append(f"{waiting} of {found.workers:,} will wait: a larger `window` or `replicates` gives them work.")
+        more = "smaller `batch`" if what == "batch" else "larger `window` or `replicates`"
+        result.append(f"{waiting} of {found.workers:,} will wait: a {more} gives them work.")
     if found.load.limits:
         result.append(
             f"The orchestrator limits the campaign: it would need {_percent(found.load.whole)} of a core, and has one; "
@@ -102,6 +104,10 @@ def plan_limits(found: FleetPlan) -> list[str]:
 def plan_json(found: FleetPlan, name: str) -> str:
     """Return the plan as JSON; times in s, sizes in bytes."""
     return json.dumps({"campaign": name, **asdict(found), "orchestrator_limits": found.load.limits})
+
+
+def _added(pilot: PilotFigures) -> str:
+    return "" if pilot.added is None else f"; {pilot.in_batch:.2g} s in a batch"
 
 
 def _second_opinion_rows(found: FleetPlan) -> list[Row]:
@@ -120,6 +126,7 @@ def _second_opinion_rows(found: FleetPlan) -> list[Row]:
 
 def _size_row(size: ProblemSize) -> Row:
     per_test = "" if size.per_test == 1 else f", {size.per_test:,} a test"
+    per_test += "" if size.batch == 1 else f", in batches of {size.batch:,}"
     return (
         f"  {size.name}",
         _whole_number(size.rollouts.middle),

@@ -1,5 +1,6 @@
 """Batches with real workers: the same bytes for any number of them and after kill -9, and a check that repeats some."""
 
+import json
 import random
 import re
 import shlex
@@ -44,6 +45,12 @@ def write(folder: Path) -> Path:
     campaign = folder / "c.toml"
     campaign.write_text(CAMPAIGN)
     return campaign
+
+
+COUPLED = SYSTEM.replace("True)", "True, batch_is_the_unit=True)").replace(
+    "return a[:, np.newaxis]", "return a[:, np.newaxis] * (1 + 1e-12 * np.arange(len(a))[:, np.newaxis])"
+)
+"""The last digits depend on the place in the batch, as where a compiler unrolls a loop."""
 
 
 def recorded(directory: Path) -> int:
@@ -92,3 +99,34 @@ def test_a_rollout_of_a_batch_is_replayed(started: Processes, tmp_path: Path, sy
         found = re.search(r"Repeat the worst: (perfbound replay .*)", started.run("perfbound", "status", "run").out)
         assert found is not None
         assert started.run(*shlex.split(found[1])).code == 0
+
+
+def statuses(directory: Path) -> dict[str, tuple[str, str | None]]:
+    found = json.loads((directory / "certificate.json").read_text())["predicate"]["assumptions"]
+    return {each["id"]: (each["status"], each.get("form")) for each in found}
+
+
+def test_where_the_batch_is_the_unit_whole_batches_are_repeated(started: Processes, tmp_path: Path) -> None:
+    campaign = write(tmp_path)
+    campaign.write_text(CAMPAIGN.replace("6000", "600"))
+    for directory, code, status, form in (
+        ("alone", COUPLED.replace(", batch_is_the_unit=True", ""), "refuted", None),
+        ("whole", COUPLED, "not refuted", "reproducible_batches"),
+    ):
+        (tmp_path / "drift.py").write_text(code)
+        ended = started.run("perfbound", "run", campaign, "--out", directory, "--workers", "1")
+        assert (tmp_path / directory / "certificate.json").exists(), ended.err
+        assert statuses(tmp_path / directory)["reproducible_rollouts"] == (status, form)
+    verify = ("perfbound", "verify", "whole", "--resimulate", "30", "--system", tmp_path / "drift.py:drift")
+    checked = started.run(*verify)
+    assert checked.code == 0, checked.out + checked.err
+    assert "30 of 39 files, bitwise the same" in checked.out
+
+
+def test_where_the_batch_is_the_unit_a_failed_rollout_is_that_of_its_batch(started: Processes, tmp_path: Path) -> None:
+    campaign = write(tmp_path)
+    (tmp_path / "drift.py").write_text(COUPLED.replace("np.newaxis] *", "np.newaxis] / (a < 0.999)[:, np.newaxis] *"))
+    ended = started.run("perfbound", "run", campaign, "--out", "run", "--workers", "1")
+    assert ended.code != 0
+    assert "the whole batch failed with a = 0.999" in ended.err
+    assert recorded(tmp_path / "run") % 32 == 0

@@ -183,3 +183,17 @@ def loads_slowly_once(x: float, y: float, *, seed: int, horizon: float) -> Float
         KEPT.append(np.ones(4_000_000))
         print("loaded a model")  # noqa: T201
     return height(x, y, seed, horizon)
+
+
+@planted(vectorised=True)
+def unrolled(x: Floats, y: Floats, *, seeds: Any, horizon: float) -> Any:
+    """The last digits depend on the place in the batch."""
+    found = x + 1e-12 * np.arange(len(x)) + pb.normal(seeds, 1)[:, 0]
+    return found[:, np.newaxis] + y[:, np.newaxis] * times(horizon)
+
+
+@planted(vectorised=True)
+def mixes(x: Floats, y: Floats, *, seeds: Any, horizon: float) -> Any:
+    """A rollout depends on the starts of the others."""
+    found = x - x.mean() + pb.normal(seeds, 1)[:, 0]
+    return found[:, np.newaxis] + y[:, np.newaxis] * times(horizon)

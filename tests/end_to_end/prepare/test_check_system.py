@@ -32,7 +32,7 @@ class Fault:
 
 COMPARING = ("together", "seed", "horizon")
 UNENDED = ("together", "seed")
-NO_TRAJECTORY = ("columns", "finite", "times", "repeatable", *COMPARING, "random state", "memory", "speed")
+NO_TRAJECTORY = ("columns", "finite", "times", "repeatable", "batches", *COMPARING, "random state", "memory", "speed")
 TEN = {
     "unseeded": Fault("repeatable", "differ when they are repeated, in a new process too", DRAW, others=COMPARING),
     "state": Fault(
@@ -59,6 +59,8 @@ MORE = {
     "seeds_global": Fault("random state", "change the global state of numpy.random", DRAW, "warning"),
     "threads": Fault("leftovers", "more with every rollout: viewer", "join every thread", "warning", ("memory",)),
     "files": Fault("leftovers", "new files: log-", "write no files", "warning"),
+    "unrolled": Fault("batches", "differ from the same ones alone; most at x = ", "batch_is_the_unit=True"),
+    "mixes": Fault("batches", "not independent and no bound holds", "no step, sum or maximum"),
     "uneven": Fault("times", "the steps of one trajectory are 0.001 to 0.199 s", "equal steps", "warning"),
 }
 

@@ -153,3 +153,21 @@ def test_a_signal_ends_the_pilot(started: Processes) -> None:
     assert ended.code == 128 + signal.SIGTERM
     assert ended.last_line == "perfbound: stopped; the pilot was ended, nothing was written"
     assert not [each for each in children if each.is_running() and each.status() != psutil.STATUS_ZOMBIE]
+
+
+def test_a_batch_is_proposed_to_a_vectorised_system_and_is_in_the_forecast(started: Processes) -> None:
+    (started.folder / "systems.py").write_text(
+        "import perfbound as pb\n\n"
+        '@pb.system(parameters={"x": pb.Parameter(0, 5, unit="m")}, columns={"value": "m"}, vectorised=True)\n'
+        "def good(x, *, seeds):\n    return x + pb.uniform(seeds, 1)[:, 0]\n"
+    )
+    path = campaign(started, keys="recheck = 0")
+    path.write_text(path.read_text().replace("max_tests = 40", "max_tests = 30_000"))
+    alone = plan(started, path, "--workers", "2")
+    assert any("`batch = 1024`" in line for line in alone["notes"])
+    path.write_text(f"batch = 1024\n{path.read_text()}")
+    together = plan(started, path, "--workers", "2")
+    assert together["notes"] == []
+    assert together["problems"][0]["batch"] == 1024
+    assert together["seconds"]["middle"] < alone["seconds"]["middle"] / 5
+    assert together["pilot"]["added"] < together["pilot"]["seconds"]

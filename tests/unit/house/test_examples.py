@@ -30,8 +30,10 @@ def lines(name: str) -> int:
         (("pendulum/pendulum.c", "pendulum/pendulum.toml"), 40),
         (("follow/follow.py", "follow/follow.toml"), 45),
         (("cartpole/cartpole.py", "cartpole/cartpole.toml"), 40),
+        (("swing/swing.py", "swing/swing.toml"), 45),
+        (("satellite/satellite.py", "satellite/satellite.toml"), 60),
     ],
-    ids=["function", "vectorised", "program", "input", "mujoco"],
+    ids=["function", "vectorised", "program", "input", "mujoco", "mujoco, vectorised", "jax"],
 )
 def test_a_system_with_its_campaign_file_is_short(files: tuple[str, ...], most: int) -> None:
     assert sum(map(lines, files)) <= most

@@ -3,8 +3,9 @@
 import pytest
 from pydantic import ValidationError
 
-from perfbound.schemas.batch import MOST_NUMBERS, BatchRequest
+from perfbound.schemas.batch import MOST_NUMBERS, BatchRequest, read_request
 from perfbound.schemas.ids import RolloutId
+from perfbound.schemas.rollout import WithinBatch
 from tests.fakes.batches import batch_request, one
 
 
@@ -45,3 +46,20 @@ def test_what_does_not_fit_is_refused(keys: dict[str, object]) -> None:
     with pytest.raises(ValidationError):
         BatchRequest(**fields)
     assert MOST_NUMBERS < 31 * 1000
+
+
+def test_a_request_is_read_as_that_of_a_batch_or_of_a_rollout() -> None:
+    batch = batch_request(one.spec, [(0.1,), (0.2,)])
+    single = batch.single(1).model_copy(update={"within": batch.within(1), "options": {"seeds": 1.0}})
+    for request in (batch, single, batch.single(0)):
+        assert read_request(request.model_dump_json()) == request
+    for text in ("", "3", "{"):
+        with pytest.raises(ValidationError):
+            read_request(text)
+
+
+@pytest.mark.parametrize("keys", [{"place": 3}, {"seeds": (1, 2)}, {"x": ((1.0,), (1.0, 2.0), (3.0,))}, {"place": -1}])
+def test_a_batch_without_the_rollout_is_refused(keys: dict[str, object]) -> None:
+    fields = batch_request(one.spec, [(1.0,)] * 3).within(2).model_dump() | keys
+    with pytest.raises(ValidationError):
+        WithinBatch(**fields)

@@ -20,6 +20,12 @@ pytestmark = pytest.mark.integration
 STARTS: Starts = [(1.0,), (2.5,), (0.1,)]
 
 
+@pb.system(parameters={"a": pb.Parameter(0, 10)}, columns={"y": ""}, step=0.25, vectorised=True, batch_is_the_unit=True)
+def summed(a: Any, *, seeds: Any, horizon: float = 1.0) -> Any:
+    """A rollout that depends on the size of its batch."""
+    return (a + 0 * seeds + 1e-12 * len(a))[:, np.newaxis] * np.ones(int(horizon / 0.25) + 1)
+
+
 def simulated(system: SystemUnderTest, starts: Starts, progress: Any = lambda _: None, **keys: Any) -> Batch:
     return read_batch(run_batch_on(system, batch_request(system.spec, starts, **keys), progress)).batch
 
@@ -163,3 +169,21 @@ def test_a_function_may_change_its_arguments() -> None:
     request = batch_request(system.spec, STARTS)
     run_batch_on(system, request, lambda _: None)
     assert request.starts.tolist() == [[1.0], [2.5], [0.1]]
+
+
+def test_a_rollout_within_its_batch_is_simulated_with_all_of_it() -> None:
+    request = batch_request(summed.spec, STARTS, replicates=2)
+    file = read_batch(run_batch_on(summed, request, lambda _: None))
+    for place, rollout in enumerate(request.rollouts):
+        again = request.single(place).model_copy(update={"within": file.within(rollout)})
+        found = decode(run_request_on(summed, again, lambda _: None))
+        assert np.array_equal(file.batch.trajectory(place).samples, found.samples)
+        alone = decode(run_request_on(summed, request.single(place), lambda _: None))
+        assert not np.array_equal(alone.samples, found.samples)
+
+
+def test_only_a_vectorised_system_repeats_a_batch() -> None:
+    request = batch_request(one.spec, STARTS)
+    again = request.single(0).model_copy(update={"within": request.within(0)})
+    with pytest.raises(SimulationError, match="one is not vectorised, and repeats no batch"):
+        run_request_on(one, again, lambda _: None)

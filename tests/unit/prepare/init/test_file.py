@@ -50,6 +50,13 @@ def proposal(prior_mean: float, norm: float, noise: float | str, alpha: float, *
     return tuple(Constant(key, value, "From 150 rollouts.") for key, value in values.items())
 
 
+def sampled(*, batch: int) -> FirstCampaign:
+    """Return a campaign of drawn starts."""
+    one = campaign(robustness=proposal(-2.0, 17.0, 0.34, 0.1))
+    basis = replace(one.basis, constants={}, clip=None)
+    return replace(one, question=QUESTIONS["how-often"], basis=basis, size=FirstSize(2995, 1), batch=batch)
+
+
 def noise_of(constants: tuple[Constant, ...]) -> object:
     return next(each.value for each in constants if each.key == "noise_scale")
 
@@ -313,3 +320,11 @@ def test_help_and_error_name_every_question() -> None:
 
 def test_the_docs_have_the_table_of_the_questions() -> None:
     assert docs_table() in (Path(__file__).parents[4] / "docs" / "questions.md").read_text()
+
+
+@pytest.mark.parametrize("batch", [1, 256])
+def test_samples_come_in_batches_where_that_pays(batch: int) -> None:
+    text = campaign_text(sampled(batch=batch))
+    assert ("batch" in tomllib.loads(text)) == (batch > 1)
+    assert parse_campaign(text.encode(), "c.toml").batch == batch
+    assert key_lines(text) <= MOST_KEYS

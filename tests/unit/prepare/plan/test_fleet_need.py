@@ -3,10 +3,20 @@
 import pytest
 
 from perfbound.orchestrator.prepare.plan import fleet_need as plans
-from perfbound.orchestrator.prepare.plan.fleet_need import FleetPlan, PilotFigures, ProblemSize, fleet_plan
+from perfbound.orchestrator.prepare.plan.fleet_need import (
+    FleetPlan,
+    Pace,
+    PilotFigures,
+    ProblemSize,
+    batch_work,
+    fleet_plan,
+)
 from perfbound.schemas.values import Guess
 
 PILOT = PilotFigures(rollouts=10, seconds=10.0, fastest=9.0, startup=2.0, size=100_000.0, memory=97_000_000)
+
+BATCHED = PilotFigures(10, 0.003, 0.002, 1.0, 3200.0, 97_000_000, added=1e-5)
+"""Of a system whose rollouts cost little more together than one alone."""
 
 
 def exactly(number: float) -> Guess:
@@ -15,6 +25,9 @@ def exactly(number: float) -> Guess:
 
 def size(tests: float = 100, per_test: int = 1, window: int = 1, **others: object) -> ProblemSize:
     return ProblemSize("robustness", exactly(tests), per_test, window, "fixed", **others)  # type: ignore[arg-type]
+
+
+IN_BATCHES = size(tests=100_000, window=64 * 256, batch=256, work=batch_work(256, 3200.0))
 
 
 def planned(
@@ -55,7 +68,7 @@ def test_problems_run_side_by_side_and_checks_one_after_the_other() -> None:
 
 
 def test_a_window_is_not_wider_than_the_tests() -> None:
-    assert size(tests=3, window=64, per_test=2).side_by_side == 6
+    assert size(tests=3, window=64, per_test=2).at_once == 6
 
 
 def test_mathematics_come_on_top_of_one_test_in_flight() -> None:
@@ -173,3 +186,28 @@ def test_ranges_are_ordered_and_finite(workers: int, seconds: float, share: floa
     for guess in (found.seconds, found.rollouts, found.files, found.storage, found.memory):
         assert ordered(guess)
         assert 0 < guess.low <= guess.high < float("inf")
+
+
+def test_a_batch_shares_what_an_assignment_costs() -> None:
+    """At 256 rollouts of 3.2 kB docs/performance.md measures 81 us of the orchestrator for each."""
+    assert batch_work(1, 3200.0) == 1.0
+    assert batch_work(256, 3200.0) * plans.RESULT_LOAD == pytest.approx(81e-6, rel=0.1)
+    assert batch_work(1024, 3200.0) * plans.RESULT_LOAD == pytest.approx(54e-6, rel=0.1)
+    assert batch_work(256, 10_000.0) * plans.RESULT_LOAD == pytest.approx(133e-6, rel=0.1)
+    assert Pace(2.0, 0.5, 0.1).seconds(1) == pytest.approx(2.1)
+    assert Pace(2.0, 0.5, 0.1).seconds(16) == pytest.approx(0.6)
+
+
+def test_batches_take_less_of_everything() -> None:
+    alone = planned(2, BATCHED, [size(tests=100_000, window=256)], [])
+    together = planned(2, BATCHED, [IN_BATCHES], [])
+    assert together.seconds.middle < alone.seconds.middle / 20
+    assert together.files.middle < alone.files.middle
+    assert together.load.results_per_second > 20 * alone.load.results_per_second
+    assert ordered(together.seconds)
+
+
+def test_no_more_workers_are_useful_than_batches() -> None:
+    assert IN_BATCHES.at_once == 64
+    assert size(tests=300, window=256, batch=256).at_once == 1
+    assert planned(128, BATCHED, [IN_BATCHES], []).seconds == planned(64, BATCHED, [IN_BATCHES], []).seconds
