@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from .base import Model
 from .file.signals import SignalShape
-from .ids import FileId, RolloutId
+from .ids import FileId, RolloutId, WorkId
 from .ranges import LARGEST_BATCH, MAX_FILE_BYTES, Magnitude, ReplicateNumber, Seconds, Seed, TestNumber
 from .rollout import MAX_PARAMETERS, Name, RequestTemplate, RolloutRequest, Sha256
 from .system import OptionValue, SystemSpec, Variant
@@ -55,8 +55,8 @@ class BatchRequest(Model):
 
     @property
     def rollout(self) -> str:
-        """Name of the first rollout, which names the batch."""
-        return str(RolloutId(self.problem, self.test, self.variant, self.replicate))
+        """Name of the batch: of its first rollout, with the number of all of them."""
+        return str(file_of(self))
 
     @property
     def rollouts(self) -> list[RolloutId]:
@@ -86,7 +86,7 @@ class BatchRequest(Model):
     def metadata(self) -> dict[str, str]:
         """The metadata record of the batch's file."""
         named = {name: getattr(self, name) for name in ("campaign", "problem", "variant", "system", "config_sha256")}
-        return {**named, "first": self.rollout, "rollouts": str(len(self))}
+        return {**named, "first": str(self.rollouts[0]), "rollouts": str(len(self))}
 
 
 def batch_rollouts(first: RolloutId, tests: int, replicates: int) -> list[RolloutId]:
@@ -117,6 +117,12 @@ def file_of(request: RolloutRequest | BatchRequest) -> FileId:
     """Return the file of the rollout or of the batch that is requested."""
     first = RolloutId(request.problem, request.test, request.variant, request.replicate)
     return FileId(first, len(request)) if isinstance(request, BatchRequest) else FileId(first)
+
+
+def work_of(request: RolloutRequest | BatchRequest) -> WorkId:
+    """Return the rollout or the batch that is requested."""
+    found = file_of(request)
+    return found if found.places else found.rollout
 
 
 def alone(request: RolloutRequest | BatchRequest) -> RolloutRequest:

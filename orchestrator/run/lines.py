@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from ...schemas.errors import one_line
 from ...schemas.failure import Failure
-from ...schemas.ids import RolloutId
+from ...schemas.ids import WorkId
 from ...schemas.places import short_path
 from ...schemas.rollout import RolloutRequest
 from ..campaign.ledger import Ledger
@@ -24,7 +24,7 @@ class Lines:
         self.print_line = print_line
         self._throttle = Throttle()
         self._was_full = False
-        self._failed: set[tuple[RolloutId, Failure]] = set()
+        self._failed: set[tuple[WorkId, Failure]] = set()
 
     def refused(self, worker: str, reason: str) -> None:
         """Print that a worker is refused."""

@@ -45,7 +45,7 @@ from perfbound.orchestrator.fleet.dispatch.limits import Limits
 from perfbound.orchestrator.fleet.dispatch.machine import KNOWN, LEGAL, OFTEN, SIDE_EFFECTS
 from perfbound.orchestrator.fleet.dispatch.state import DispatchState
 from perfbound.schemas.failure import Failure
-from perfbound.schemas.ids import Attempt, RolloutId
+from perfbound.schemas.ids import Attempt, RolloutId, WorkId
 from perfbound.schemas.link.messages import heartbeat_interval
 from tests.fakes.invariants import check_invariants
 
@@ -684,7 +684,7 @@ class World:
     """Workers, a network and an orchestrator that mirrors `Service`, on one simulated clock."""
 
     def __init__(
-        self, chaos: Chaos, rollouts: int, workers: int, limits: Limits, always_fails: frozenset[RolloutId]
+        self, chaos: Chaos, rollouts: int, workers: int, limits: Limits, always_fails: frozenset[WorkId]
     ) -> None:
         self.chaos, self.limits, self.rng = chaos, limits, random.Random(chaos.seed)
         self.rollouts = [RolloutId("p", test, "true", 0) for test in range(rollouts)]
@@ -694,10 +694,10 @@ class World:
         self.processes: dict[str, Process] = {}
         self._names = itertools.count()
         # Durable state
-        self.recorded: list[RolloutId] = []
+        self.recorded: list[WorkId] = []
         self.started: set[Attempt] = set()
-        self.failures: dict[RolloutId, int] = {}
-        self.poison: dict[RolloutId, tuple[Fail, ...]] = {}
+        self.failures: dict[WorkId, int] = {}
+        self.poison: dict[WorkId, tuple[Fail, ...]] = {}
         self.generation = 0
         self._restart()
         for number in range(workers):
@@ -759,7 +759,7 @@ class World:
 
     def _restart(self) -> None:
         self.generation += 1
-        attempts: dict[RolloutId, int] = {}
+        attempts: dict[WorkId, int] = {}
         for attempt in self.started:
             attempts[attempt.rollout] = max(attempts.get(attempt.rollout, 0), attempt.number)
         self.state = DispatchState(self.limits, self.now + 2.5 if self.generation > 1 else 0.0)
