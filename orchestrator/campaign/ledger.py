@@ -348,7 +348,7 @@ def _batch_fact(
 ) -> BatchFact:
     scores, failures = found.scores, sorted(found.scores.failures.items())
     nothing = bytes(DIGEST)
-    digests = [nothing if place in scores.failures else each for place, each in enumerate(found.batch.digests())]
+    digests = [nothing if place in scores.failures else each for place, each in enumerate(found.batch.digests)]
     return BatchFact(
         rollout,
         block,

@@ -72,7 +72,7 @@ class Results:
             failure = self._admit(attempt, result, decoded)
         # A result that is no longer needed is acknowledged unread, so that the worker drops it.
         doubtful = attempt in self._doubtful
-        each = self._each(attempt) if doubtful or self._ledger.config.second_opinion else ()
+        each = self._each(attempt)
         return (
             events.Delivered(result.at, result.worker, attempt, failure, header.sha256, doubtful=doubtful, each=each),
         )
@@ -80,7 +80,7 @@ class Results:
     def _each(self, attempt: Attempt) -> tuple[bytes, ...]:
         """Return the digest of each rollout of an admitted batch."""
         _, found = self._admitted.get(attempt, (None, None))
-        return tuple(found.batch.digests()) if isinstance(found, Scored) else ()
+        return found.batch.digests if isinstance(found, Scored) else ()
 
     def _largest(self, rollout: WorkId, *, is_open: bool) -> int:
         spec, config = self._ledger.header.spec, self._ledger.config

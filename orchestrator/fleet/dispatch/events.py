@@ -92,7 +92,7 @@ class Delivered:
     doubtful: bool = False
     """Whether something in the result is unlike all others, so that it counts only if it is repeated."""
     each: tuple[bytes, ...] = ()
-    """As in `Opinion`, where the result may be compared."""
+    """As in `Opinion`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,7 +36,7 @@ def test_each_rollout_is_the_one_that_is_simulated_alone(system: SystemUnderTest
 
 def test_a_vectorised_system_gives_what_the_same_one_gives_in_turn() -> None:
     first, second = (simulated(each, STARTS, replicates=3) for each in (one, many))
-    assert list(first.digests()) == list(second.digests())
+    assert list(first.digests) == list(second.digests)
 
 
 def test_a_rollout_that_fails_leaves_the_others_as_they_are() -> None:
@@ -45,7 +45,7 @@ def test_a_rollout_that_fails_leaves_the_others_as_they_are() -> None:
     assert found.failures.keys() == {1, 2}
     assert found.failures[1].startswith("RuntimeError: the model diverged (batches.py, line ")
     assert found.failures[2].startswith("samples are not finite: z is nan at t = 0 s, row 0")
-    assert [each for each in found.digests() if each] == list(without.digests())
+    assert [each for each in found.digests if each] == list(without.digests)
     assert simulated(many, starts[:1] + starts[2:]).failures == {1: found.failures[2]}
 
 

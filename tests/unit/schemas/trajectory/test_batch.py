@@ -56,13 +56,13 @@ def test_a_trajectory_is_that_of_its_rollout() -> None:
 def test_a_digest_is_that_of_the_rollout_alone() -> None:
     """Neither the other rollouts of the batch nor the place among them changes it."""
     whole, failed = a_batch(), a_batch({1: "diverged"})
-    digests = list(whole.digests())
+    digests = list(whole.digests)
     assert len(set(digests)) == 4
-    assert list(failed.digests()) == [digests[0], b"", *digests[2:]]
+    assert list(failed.digests) == [digests[0], b"", *digests[2:]]
     turned = Batch(COLUMNS, whole.time.copy(), whole.values[:, ::-1].copy())
-    assert list(turned.digests()) == digests[::-1]
+    assert list(turned.digests) == digests[::-1]
     later = Batch(COLUMNS, whole.time + 1.0, whole.values.copy())
-    assert not set(later.digests()) & set(digests)
+    assert not set(later.digests) & set(digests)
 
 
 def test_equal_content_gives_equal_bytes() -> None:
