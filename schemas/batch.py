@@ -17,6 +17,8 @@ from .system import OptionValue, SystemSpec, Variant
 
 MOST_NUMBERS = 30_000
 """Numbers of all starts of a batch, so that its request stays a message of less than a megabyte."""
+SPARE_BYTES = 2**20
+"""Of a file, for what is beside its trajectories."""
 Start = Annotated[tuple[Magnitude, ...], Field(min_length=1, max_length=MAX_PARAMETERS)]
 
 
@@ -128,6 +130,15 @@ def work_of(request: RolloutRequest | BatchRequest) -> WorkId:
 def alone(request: RolloutRequest | BatchRequest) -> RolloutRequest:
     """Return the request for a rollout, or for the first one of a batch."""
     return request.single(0) if isinstance(request, BatchRequest) else request
+
+
+def largest_batch(trajectory_bytes: int) -> int:
+    """Return the largest `batch` for rollouts whose trajectories have so many bytes each; 0 for none.
+
+    >>> largest_batch(4000), largest_batch(2**20)
+    (1024, 63)
+    """
+    return min((MAX_FILE_BYTES - SPARE_BYTES) // max(trajectory_bytes, 1), LARGEST_BATCH)
 
 
 def largest_result(spec: SystemSpec, request: RolloutRequest | BatchRequest) -> int:

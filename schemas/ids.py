@@ -127,6 +127,11 @@ def parse_work(text: str) -> WorkId:
     return found if found.places else found.rollout
 
 
+def rollouts_of(work: WorkId) -> int:
+    """Return the number of rollouts: 1, or those of the batch."""
+    return work.places if isinstance(work, FileId) else 1
+
+
 def first_of(work: WorkId) -> RolloutId:
     """Return the rollout, or the first one of the batch."""
     return work.rollout if isinstance(work, FileId) else work

@@ -185,7 +185,7 @@ def read_batch(data: bytes) -> BatchFile:
     """
     try:
         check_checksums(data)
-        check_sizes(data)
+        check_sizes(data, arrays=2)  # the times as well
         metadata, attachments = canonical_evidence(data, OF_BATCH, visual=False)
         columns = json.loads(metadata["columns"])
         if not isinstance(columns, list) or not all(isinstance(name, str) for name in columns):

@@ -296,7 +296,8 @@ def _software(header: Header, checks: Checks) -> bool:
 
 
 def _simulate(header: Header, system: str | None, path: Path, request: RolloutRequest | BatchRequest) -> None:
-    simulate_to(path, request, header.spec, system, limit=header.config.deadline)
+    limit = header.config.deadline * (len(request) if isinstance(request, BatchRequest) else 1)
+    simulate_to(path, request, header.spec, system, limit=limit)
 
 
 def _resimulation(

@@ -36,7 +36,7 @@ from dataclasses import replace
 from typing import Literal
 
 from ....schemas.failure import Failure
-from ....schemas.ids import Attempt, WorkId, first_of
+from ....schemas.ids import Attempt, WorkId, first_of, rollouts_of
 from .blame import charge, clear, forget_past, take_back
 from .choice import eligible, has_others, is_alone, nearest
 from .events import (
@@ -337,9 +337,11 @@ def _watch(state: DispatchState, name: str, worker: Worker, at: float) -> Outcom
         return state, ()
     if at - worker.progress_at >= limits.hung_after:
         return _shun(state, name, worker, Failure("infrastructure", f"no progress for {limits.hung_after:g} s"), at)
-    # Progress alone is not enough: a rollout may grow slower without end.
-    if at - worker.started_at >= limits.deadline:
-        return _shun(state, name, worker, missed(limits.deadline), at)
+    # Progress alone is not enough: a rollout may grow slower without end. A batch may take as long as its rollouts
+    # one by one, which a system that is not vectorised simulates in turn.
+    rollouts = rollouts_of(worker.attempt.rollout)
+    if at - worker.started_at >= limits.deadline * rollouts:
+        return _shun(state, name, worker, missed(limits.deadline, rollouts), at)
     # Delivery is at most once, so the assignment or the heartbeat that confirms it may be lost.
     if worker.phase == "sent" and at - worker.sent_at >= limits.resend_after:
         return _put(state, name, replace(worker, sent_at=at)), (Resend(name, worker.attempt),)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import perfbound as pb
+from perfbound.schemas import batch as requests
 from perfbound.schemas.errors import DefinitionError, SimulationError
 from perfbound.schemas.trajectory.batch import Batch, read_batch
 from perfbound.schemas.trajectory.trajectory import decode
@@ -163,3 +164,22 @@ def test_a_function_may_change_its_arguments() -> None:
     request = batch_request(system.spec, STARTS)
     run_batch_on(system, request, lambda _: None)
     assert request.starts.tolist() == [[1.0], [2.5], [0.1]]
+
+
+@pytest.mark.parametrize("vectorised", [False, True])
+def test_a_batch_that_is_too_large_is_refused_after_one_rollout(
+    monkeypatch: pytest.MonkeyPatch,
+    vectorised: bool,
+) -> None:
+    monkeypatch.setattr(requests, "MAX_FILE_BYTES", requests.SPARE_BYTES + 1000)
+    calls: list[Any] = []
+
+    def system(a: Any, *, horizon: float = 1.0) -> Any:
+        calls.append(a)
+        return np.zeros((*np.shape(a), 50, 1))
+
+    keys: dict[str, Any] = {"parameters": {"a": pb.Parameter(0, 10)}, "columns": {"y": "m"}, "step": 0.02}
+    made = pb.system(**keys, vectorised=vectorised)(system)
+    with pytest.raises(SimulationError, match=r"3 trajectories of 50 samples are 1\.2 kB.*`batch = 2`"):
+        simulated(made, STARTS)
+    assert len(calls) == 1

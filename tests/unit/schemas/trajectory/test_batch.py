@@ -148,3 +148,11 @@ def test_no_changed_byte_passes(place: int) -> None:
     file[place % len(file)] ^= 1
     with pytest.raises(TrajectoryError):
         read_batch(bytes(file))
+
+
+def test_a_batch_may_have_as_many_times_as_a_rollout_alone() -> None:
+    count = 200_000
+    found = a_file(time_npy=to_npy(np.linspace(0.0, 1.0, count)), trajectory_npy=to_npy(np.ones((2, 4, count))))
+    assert read_batch(found).batch.values.shape == (2, 4, count)
+    with pytest.raises(TrajectoryError, match=r"request\.json has 2097152 bytes"):
+        read_batch(a_file(request_json=b" " * 2**21, trajectory_npy=to_npy(np.ones((2, 4, count)))))
