@@ -157,8 +157,9 @@ fuzz: $(INSTALLED)-dev ## Random and mutated bytes at every border (FUZZ=100000 
 
 MINUTES ?= 10
 SEED ?= 1
-faults: $(INSTALLED)-dev ## Campaigns under seeded faults: kill, stop, partition, full disk, ... (MINUTES=10, SEED=1)
-	$(BIN)/python -m tests.faults --minutes $(MINUTES) --seed $(SEED)
+BATCH ?= 1
+faults: $(INSTALLED)-dev ## Campaigns under seeded faults: kill, stop, partition, full disk, ... (MINUTES=10, SEED=1, BATCH=1)
+	$(BIN)/python -m tests.faults --minutes $(MINUTES) --seed $(SEED) --batch $(BATCH)
 
 coverage: $(INSTALLED)-dev ## How often bounds fail, over thousands of campaigns (half an hour; continues where it stopped)
 	$(BIN)/python -m tests.studies.coverage

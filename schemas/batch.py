@@ -11,13 +11,15 @@ from pydantic import Field, model_validator
 
 from .base import Model
 from .file.signals import SignalShape
-from .ids import FileId, RolloutId
+from .ids import FileId, RolloutId, WorkId
 from .ranges import LARGEST_BATCH, MAX_FILE_BYTES, ReplicateNumber, Seconds, Seed, TestNumber
 from .rollout import MAX_PARAMETERS, Name, RequestTemplate, RolloutRequest, Sha256, Start, WithinBatch
 from .system import OptionValue, SystemSpec, Variant
 
 MOST_NUMBERS = 30_000
 """Numbers of all starts of a batch, so that its request stays a message of less than a megabyte."""
+SPARE_BYTES = 2**20
+"""Of a file, for what is beside its trajectories."""
 
 
 class BatchRequest(Model):
@@ -55,8 +57,8 @@ class BatchRequest(Model):
 
     @property
     def rollout(self) -> str:
-        """Name of the first rollout, which names the batch."""
-        return str(RolloutId(self.problem, self.test, self.variant, self.replicate))
+        """Name of the batch: of its first rollout, with the number of all of them."""
+        return str(file_of(self))
 
     @property
     def rollouts(self) -> list[RolloutId]:
@@ -90,7 +92,7 @@ class BatchRequest(Model):
     def metadata(self) -> dict[str, str]:
         """The metadata record of the batch's file."""
         named = {name: getattr(self, name) for name in ("campaign", "problem", "variant", "system", "config_sha256")}
-        return {**named, "first": self.rollout, "rollouts": str(len(self))}
+        return {**named, "first": str(self.rollouts[0]), "rollouts": str(len(self))}
 
 
 def batch_rollouts(first: RolloutId, tests: int, replicates: int) -> list[RolloutId]:
@@ -129,9 +131,24 @@ def file_of(request: RolloutRequest | BatchRequest) -> FileId:
     return FileId(first, len(request)) if isinstance(request, BatchRequest) else FileId(first)
 
 
+def work_of(request: RolloutRequest | BatchRequest) -> WorkId:
+    """Return the rollout or the batch that is requested."""
+    found = file_of(request)
+    return found if found.places else found.rollout
+
+
 def alone(request: RolloutRequest | BatchRequest) -> RolloutRequest:
     """Return the request for a rollout, or for the first one of a batch."""
     return request.single(0) if isinstance(request, BatchRequest) else request
+
+
+def largest_batch(trajectory_bytes: int) -> int:
+    """Return the largest `batch` for rollouts whose trajectories have so many bytes each; 0 for none.
+
+    >>> largest_batch(4000), largest_batch(2**20)
+    (1024, 63)
+    """
+    return min((MAX_FILE_BYTES - SPARE_BYTES) // max(trajectory_bytes, 1), LARGEST_BATCH)
 
 
 def largest_result(spec: SystemSpec, request: RolloutRequest | BatchRequest) -> int:

@@ -111,9 +111,35 @@ class FileId(NamedTuple):
         return found
 
 
+WorkId = RolloutId | FileId
+"""What is assigned: a rollout, or a batch by its file, which the retry of its first rollout does not share."""
+
+
+def parse_work(text: str) -> WorkId:
+    """Return the rollout or the batch of this name; raises ValueError as `FileId.parse`.
+
+    >>> parse_work("mean.3.true.0") == RolloutId.parse("mean.3.true.0")
+    True
+    >>> str(parse_work("mean.3.true.0.256"))
+    'mean.3.true.0.256'
+    """
+    found = FileId.parse(text)
+    return found if found.places else found.rollout
+
+
+def rollouts_of(work: WorkId) -> int:
+    """Return the number of rollouts: 1, or those of the batch."""
+    return work.places if isinstance(work, FileId) else 1
+
+
+def first_of(work: WorkId) -> RolloutId:
+    """Return the rollout, or the first one of the batch."""
+    return work.rollout if isinstance(work, FileId) else work
+
+
 @dataclass(frozen=True, slots=True)
 class Attempt:
-    """One try of a rollout; numbered from 1."""
+    """One try of a rollout or of a batch; numbered from 1."""
 
-    rollout: RolloutId
+    rollout: WorkId
     number: int

@@ -5,8 +5,10 @@ from typing import cast
 
 import numpy as np
 
-from ..schemas.batch import BatchRequest
+from ..schemas.amounts import amount
+from ..schemas.batch import BatchRequest, largest_batch
 from ..schemas.errors import ReplacedError, SimulationError, shortened
+from ..schemas.ranges import MAX_FILE_BYTES
 from ..schemas.real_numbers import real_array
 from ..schemas.rollout import RolloutRequest
 from ..schemas.trajectory.batch import Batch, encode_batch
@@ -60,6 +62,8 @@ def _together(system: SystemUnderTest, request: BatchRequest, progress: Progress
     except ValueError as error:
         raise SimulationError(f"{spec.name} returned what {error}") from None
     columns = spec.own_columns
+    if samples.ndim == 3:
+        _check_size(request, samples.shape[2] - 1, samples.shape[1])
     if samples.ndim != 3 or samples.shape[::2] != (len(request), len(columns)) or not samples.shape[1]:
         wanted = f"({len(request)}, samples, {len(columns)})"
         raise SimulationError(f"{spec.name} returned an array {samples.shape} for a batch of shape {wanted}")
@@ -82,6 +86,7 @@ def _in_turn(system: SystemUnderTest, request: BatchRequest, progress: Progress)
             continue
         samples = found.samples
         if not values.size:
+            _check_size(request, len(columns) - 1, len(samples))
             time, values = samples[:, 0].copy(), np.zeros((len(columns) - 1, len(request), len(samples)))
         if not np.array_equal(samples[:, 0], time):
             raise SimulationError(
@@ -90,6 +95,17 @@ def _in_turn(system: SystemUnderTest, request: BatchRequest, progress: Progress)
             )
         values[:, place] = samples[:, 1:].T
     return _made(columns, time, values, failures, None)
+
+
+def _check_size(request: BatchRequest, columns: int, samples: int) -> None:
+    """Refuse a batch whose file would be too large, before all of its rollouts are simulated."""
+    each = 8 * columns * samples
+    most = max(largest_batch(each), 1)
+    if len(request) > most:
+        raise SimulationError(
+            f"{len(request)} trajectories of {samples} samples are {amount(each * len(request))}, and a file has at "
+            f"most {amount(MAX_FILE_BYTES)}; give `batch = {most}`, or fewer samples"
+        )
 
 
 def _one(system: SystemUnderTest, request: RolloutRequest, done: "_Steps") -> Trajectory | str:

@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import partial
 
 from ...schemas.amounts import amount
+from ...schemas.batch import largest_batch
 from ...schemas.errors import CampaignError, check_all
 from ...schemas.file.against_system import check_against
 from ...schemas.file.config import CampaignConfig
@@ -14,6 +15,7 @@ from ...schemas.file.parameters import parameter_ranges
 from ...schemas.file.parts import parts_of
 from ...schemas.file.problem_models import KrigingProblem, PaperProblem, Problem
 from ...schemas.file.space import space_kind
+from ...schemas.ranges import MAX_FILE_BYTES
 from ...schemas.system import SystemSpec
 from ..mathematics.bounds.cost import BLOCKS, LARGEST_MEMORY, LARGEST_PLAN, MethodSize, most
 from ..mathematics.bounds.kriging.design import points_per_parameter
@@ -55,7 +57,19 @@ def check_new(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
         partial(check, config, spec, source),
         partial(_check_new_clip, config, source),
         partial(check_sizes, config, source),
+        partial(_check_batch, config, spec, source),
     )
+
+
+def _check_batch(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
+    """Refuse batches whose files would be too large, as far as the system declares the size of a trajectory."""
+    each = spec.trajectory_bytes or 0
+    most = max(largest_batch(each), 1)
+    if config.batch > most:
+        raise CampaignError(
+            f"{source}: batch: {config.batch} trajectories of {amount(each)} are {amount(each * config.batch)}, and a "
+            f"file has at most {amount(MAX_FILE_BYTES)}; choose at most {most}"
+        )
 
 
 def _check_new_clip(config: CampaignConfig, source: str) -> None:

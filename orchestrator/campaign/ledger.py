@@ -15,7 +15,7 @@ import numpy as np
 from ...schemas.batch import BatchRequest, batch_request, file_of
 from ...schemas.errors import EvidenceError, IllegalEvent, JournalError, one_line, shortened
 from ...schemas.file.config import CampaignConfig
-from ...schemas.ids import RolloutId
+from ...schemas.ids import FileId, RolloutId, WorkId, first_of
 from ...schemas.ranges import DIGEST
 from ...schemas.result.block_facts import (
     BatchFact,
@@ -196,6 +196,16 @@ class Ledger:
         seeds = self._of(rollout).seeds(rollout, tests, replicates)
         return batch_request(self._template, rollout, starts, seeds)
 
+    def request_again(self, work: WorkId) -> RolloutRequest | BatchRequest:
+        """Return the request for a rollout or a batch of any test, which may be closed; in or outside a transaction."""
+        first = first_of(work)
+        if not isinstance(work, FileId):
+            return self._template.request(first, self.recorded.start(first), self.deciders[first.problem].seed(first))
+        replicates = min(work.places, state.plan_of(self.state, first.problem).replicates_of(first))
+        tests = work.places // replicates
+        starts = [self.recorded.start(first._replace(test=first.test + each)) for each in range(tests)]
+        return batch_request(self._template, first, starts, self._of(first).seeds(first, tests, replicates))
+
     def restores(self, rollout: RolloutId) -> bool:
         """Whether this rollout has been recorded, and only its file is wanted again."""
         return rollout in self._restoration
@@ -367,7 +377,7 @@ def _batch_fact(
 ) -> BatchFact:
     scores, failures = found.scores, sorted(found.scores.failures.items())
     nothing = bytes(DIGEST)
-    digests = [nothing if place in scores.failures else each for place, each in enumerate(found.batch.digests())]
+    digests = [nothing if place in scores.failures else each for place, each in enumerate(found.batch.digests)]
     return BatchFact(
         rollout,
         block,
@@ -396,6 +406,14 @@ def observed_discards(ledger: Ledger) -> list[DiscardFact]:
         for series in ledger.series.values()
     ]
     return [fact for each in found for fact in sorted(each, key=lambda fact: (*fact.rollout[1:], fact.sha256))]
+
+
+def failed_attempts(ledger: Ledger) -> int:
+    """Return the attempts at observed rollouts that failed in the system, as far as the evidence itself shows them.
+
+    A discarded rollout had no objective, and one that failed in its batch is marked there; both were made again.
+    """
+    return len(observed_discards(ledger)) + sum(series.failed for series in ledger.series.values())
 
 
 def observed_rollouts(ledger: Ledger) -> int:

@@ -4,6 +4,7 @@ import hashlib
 import itertools
 import math
 from array import array
+from collections import Counter
 from collections.abc import Iterable, MutableSequence, Sequence
 from dataclasses import dataclass, field, replace
 from typing import overload
@@ -123,6 +124,8 @@ class Series:
     batches: dict[int, list[BatchFact]] = field(default_factory=dict)
     discards: list[DiscardFact] = field(default_factory=list)
     """Of all tests: they are few."""
+    failed: int = 0
+    """Rollouts of closed tests that have failed in their batch, so that another attempt at each was recorded."""
     observations: MutableSequence[float] = field(default_factory=lambda: array("d"))
     each: Rows = field(default_factory=Rows)
     nodes: MutableSequence[int] = field(default_factory=lambda: array("q"))
@@ -141,6 +144,8 @@ class Series:
     """As in `ProblemProgress`."""
     budgets: list[int] = field(default_factory=list)
     """Tests at most after each extension of the campaign that this series has part in."""
+    _failed: Counter[int] = field(default_factory=Counter)
+    """Of open tests, or blocks, as in `failed`."""
 
     @property
     def last_rollouts(self) -> list[RolloutFact]:
@@ -170,6 +175,7 @@ class Series:
 
     def record(self, fact: BatchFact) -> None:
         """Take a recorded batch of an open test, or block."""
+        self._failed[fact.block] += len(fact.failures)
         if fact.block in self.blocks:
             self.batches.setdefault(fact.block, []).append(fact)
         else:
@@ -204,6 +210,7 @@ class Series:
         self.last_proposal = self.proposals.pop(fact.test).proposal
         rollouts = self.last_facts = self.rollouts.pop(fact.test, [])
         self.link = fact.chain
+        self.failed += self._failed.pop(fact.test, 0)
         self.files = _files_link(self.files, rollouts)
         self.observations.append(found.y)
         self.each.append(found.each)
@@ -224,6 +231,7 @@ class Series:
             )
         self.last_proposal, self.last_facts = proposal.of_test(fact.test + len(fact) - 1).proposal, batches
         self.link, self.files = fact.chain, block_files_link(self.files, batches)
+        self.failed += self._failed.pop(fact.test, 0)
         self.observations.extend(fact.y.tolist())
         self.each.extend(fact.contributions)
         self.nodes.extend(proposal.nodes.tolist())

@@ -124,6 +124,10 @@ class Plan:
         tests = len(self.tests_of(first))
         return RolloutId(self.problem, first, rollout.variant, numbers[0]), tests, len(numbers)
 
+    def replicates_of(self, rollout: RolloutId) -> int:
+        """Return the number of rollouts of the variant of a rollout in its test."""
+        return sum(variant == rollout.variant for variant, _ in self.rollouts_of(rollout.test))
+
     def extended(self, max_tests: int) -> "Plan":
         """Return the plan with more tests."""
         # The next block begins where the tests before have ended, so that none of those changes.

@@ -12,7 +12,7 @@ from ...schemas.result import certificate as document
 from ...schemas.result.facts import DiscardFact, Header
 from ..campaign.bounded_parts import bounded_accounts
 from ..campaign.counterexample import counterexample
-from ..campaign.ledger import Ledger, observed_discards, observed_rollouts
+from ..campaign.ledger import Ledger, failed_attempts, observed_rollouts
 from ..store.files import FOLDER
 from .assumptions.audit import ClosingResults, assumptions
 from .assumptions.opinions import workers_honest
@@ -41,18 +41,17 @@ def issue(
     ledger: Ledger,
     evidence: Manifest,
     *,
-    irreproducible: bool = False,
+    irreproducible: int = 0,
     contradicted: Sequence[str] = (),
     regions: CampaignRegions | None = None,
 ) -> document.Certificate:
     """Return the certificate of a campaign whose problems have all stopped.
 
-    With `irreproducible` the system failed in an attempt at a rollout that was recorded later; so does a discarded one.
+    `irreproducible` is the number of rollouts and batches that were recorded after the system had failed in an attempt.
     `contradicted` are rollouts of outvoted workers that had another result when they were simulated again. `regions`
     are those of `campaign_regions`, which takes seconds; if they are missing, they are computed here.
     """
     regions = regions or campaign_regions(ledger)
-    irreproducible = irreproducible or bool(observed_discards(ledger))
     header, config = ledger.header, ledger.config
     accounts = bounded_accounts(ledger.accounts, ledger.methods)
     plans = {name: account.plan for name, account in accounts.items()}
@@ -63,7 +62,7 @@ def issue(
         ledger,
         accounts,
         ClosingResults(checked, repeated, None if regions is None else regions.document),
-        irreproducible=irreproducible,
+        failed=irreproducible + failed_attempts(ledger),
         honest=honest,
     )
     claimed = claims(config, plans, results, ledger.methods, found)

@@ -14,7 +14,7 @@ from ...schemas.result.facts import Header
 from ...schemas.result.known import CampaignVerdict, Violations
 from ..campaign.assumption_tests import OneLaw
 from ..campaign.bounded_parts import bounded_accounts
-from ..campaign.ledger import Ledger
+from ..campaign.ledger import Ledger, failed_attempts
 from ..campaign.series import Account
 from .assumptions.audit import ClosingResults, assumptions
 from .assumptions.sampled import noisy_variants, one_law
@@ -55,11 +55,11 @@ class AuditSoFar:
     _laws: dict[str, OneLaw] = field(default_factory=dict)
 
     def holding(
-        self, violations: Violations, values: Callable[[], Values], *, unit: str, irreproducible: bool
+        self, violations: Violations, values: Callable[[], Values], *, unit: str, irreproducible: int
     ) -> Holding:
         """Return what holds now; `values` are the rollouts of the tested variant, read only where needed.
 
-        With `irreproducible` the system failed in an attempt at a rollout that was recorded later.
+        `irreproducible` is that of `issue`.
         """
         accounts = {name: each for name, each in self._accounts().items() if each.observations}
         found = self._assumptions(accounts, irreproducible=irreproducible)
@@ -79,7 +79,7 @@ class AuditSoFar:
     def _accounts(self) -> dict[str, Account]:
         return bounded_accounts(self.ledger.accounts, self.ledger.methods)
 
-    def _assumptions(self, accounts: Mapping[str, Account], *, irreproducible: bool) -> list[Assumption]:
+    def _assumptions(self, accounts: Mapping[str, Account], *, irreproducible: int) -> list[Assumption]:
         if not accounts:
             return []
         closing = self.ledger.closing
@@ -87,7 +87,8 @@ class AuditSoFar:
         checked = spot_check(self.ledger) if closing.spot_check and closing.spot_check.refuted else None
         repeated = recheck(self.ledger) if closing.recheck and closing.recheck.differing else None
         results = ClosingResults(checked, repeated)
-        return assumptions(self.ledger, accounts, results, irreproducible=irreproducible, sampled=self._sampled)
+        failed = irreproducible + failed_attempts(self.ledger)
+        return assumptions(self.ledger, accounts, results, failed=failed, sampled=self._sampled)
 
     def _sampled(self, account: Account) -> Iterator[Assumption]:
         """Yield what the bound of a noisy problem needs of its samples, without comparing trajectories."""

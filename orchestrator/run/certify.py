@@ -26,7 +26,7 @@ def certify(directory: Path, ledger: Ledger, report_end: Callable[[], None] | No
     # Before the certificate: the run directory is handed on from then, and the key of the assignments proves results.
     outbox.forget(directory)
     found = manifest(((sha256, path) for _, sha256, path in read.observed(directory)), observed_discards(ledger))
-    irreproducible = read.irreproducible(directory) > 0
+    irreproducible = read.irreproducible(directory)
     differing = read.contradicted(directory)
     regions = campaign_regions(ledger)
     certificate = issue(ledger, found, irreproducible=irreproducible, contradicted=differing, regions=regions)

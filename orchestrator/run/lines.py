@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from ...schemas.errors import one_line
 from ...schemas.failure import Failure
-from ...schemas.ids import RolloutId
+from ...schemas.ids import WorkId, rollouts_of
 from ...schemas.places import short_path
 from ...schemas.rollout import RolloutRequest
 from ..campaign.ledger import Ledger
@@ -24,7 +24,7 @@ class Lines:
         self.print_line = print_line
         self._throttle = Throttle()
         self._was_full = False
-        self._failed: set[tuple[RolloutId, Failure]] = set()
+        self._failed: set[tuple[WorkId, Failure]] = set()
 
     def refused(self, worker: str, reason: str) -> None:
         """Print that a worker is refused."""
@@ -136,12 +136,15 @@ def poison_text(
     repeat = f"Repeat it: {command}"
     if ledger.header.spec.repeated == "session":  # which no command has
         repeat = f"Repeat it: call {request.system.replace('-', '_')} at {start}, with seed {request.seed}"
-    if found.failures[-1].failure == missed(config.deadline):
+    if rollouts_of(found.rollout) > 1:
+        repeat = f"Of its {rollouts_of(found.rollout)} rollouts repeat the first one alone: {command}"
+    elif found.failures[-1].failure == missed(config.deadline):
         missing = f"It exceeds deadline = {config.deadline:g} s at the start ({start})"
         repeat = f"{missing}; simulated alone, it names the place in the file. {repeat}"
     # Another code is another system, with which the recorded rollouts cannot be mixed.
     remedy = "If the code of the system is wrong, fix it and start a new campaign (--out); else"
+    which = "batch" if rollouts_of(found.rollout) > 1 else "rollout"
     return (
-        f"rollout {found.rollout} failed {len(found.failures)} times, so the campaign cannot continue: {history}. "
+        f"{which} {found.rollout} failed {len(found.failures)} times, so the campaign cannot continue: {history}. "
         f"{repeat}. {remedy} fix the worker or the machine, then resume"
     )

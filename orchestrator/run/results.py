@@ -5,10 +5,10 @@ from collections.abc import Callable, Container, Iterable
 
 import numpy as np
 
-from ...schemas.batch import BatchRequest, largest_result
+from ...schemas.batch import BatchRequest, largest_result, work_of
 from ...schemas.errors import EvidenceError, UnusableTrajectoryError
 from ...schemas.failure import Failure
-from ...schemas.ids import Attempt, RolloutId
+from ...schemas.ids import Attempt, RolloutId, WorkId, first_of, parse_work
 from ...schemas.link.messages import MAX_RESULT
 from ...schemas.result.facts import RECORDED, RESTORED
 from ...schemas.rollout import RolloutRequest
@@ -20,6 +20,7 @@ from ..campaign.ledger import Ledger, Scored, Work
 from ..fleet.dispatch import events
 from ..fleet.link.transport import Result
 from ..store.journal import Journal
+from ..store.rows import work_name
 from .decoder import LARGE, Decoded, Decoder
 from .doubted_rollouts import Review
 
@@ -43,7 +44,7 @@ class Results:
         """Time of receipt of the oldest result that is still decoded; infinite without one."""
         return self._decoder.oldest
 
-    def take(self, message: Result | Decoded, *, open_rollouts: Container[RolloutId]) -> Events:
+    def take(self, message: Result | Decoded, *, open_rollouts: Container[WorkId]) -> Events:
         """Take a result of an admitted worker; return the events for the dispatch machine.
 
         A large one is decoded beside the loop first: there are none then, and `done` gets the result again.
@@ -71,9 +72,17 @@ class Results:
             failure = self._admit(attempt, result, decoded)
         # A result that is no longer needed is acknowledged unread, so that the worker drops it.
         doubtful = attempt in self._doubtful
-        return (events.Delivered(result.at, result.worker, attempt, failure, header.sha256, doubtful=doubtful),)
+        each = self._each(attempt)
+        return (
+            events.Delivered(result.at, result.worker, attempt, failure, header.sha256, doubtful=doubtful, each=each),
+        )
 
-    def _largest(self, rollout: RolloutId, *, is_open: bool) -> int:
+    def _each(self, attempt: Attempt) -> tuple[bytes, ...]:
+        """Return the digest of each rollout of an admitted batch."""
+        _, found = self._admitted.get(attempt, (None, None))
+        return found.batch.digests if isinstance(found, Scored) else ()
+
+    def _largest(self, rollout: WorkId, *, is_open: bool) -> int:
         spec, config = self._ledger.header.spec, self._ledger.config
         if is_open:
             return largest_result(spec, self.request(rollout))
@@ -93,10 +102,11 @@ class Results:
             found: Trajectory | Scored
             if isinstance(decoded, Batch):
                 assert isinstance(request, BatchRequest)
-                found, compared = self._admission.score(rollout, request, decoded)
+                found, compared = self._admission.score(first_of(rollout), request, decoded)
+            elif self._review.request(rollout):
+                found, compared = decoded, "same"
             else:
-                compared = "same" if self._review.request(rollout) else self._admission.check(rollout, decoded)
-                found = decoded
+                found, compared = decoded, self._admission.check(first_of(rollout), decoded)
         except EvidenceError as fault:
             return _refused(fault)
         self._admitted[attempt] = message, found
@@ -111,16 +121,20 @@ class Results:
             return False
         return compared == "first of a pair" or not self._grids.vary
 
-    def request(self, rollout: RolloutId) -> RolloutRequest | BatchRequest:
-        """Return the request for a rollout that is wanted."""
-        return self._review.request(rollout) or self._ledger.request(rollout)
+    def request(self, work: WorkId) -> RolloutRequest | BatchRequest:
+        """Return the request for a rollout or a batch that is wanted."""
+        return self._review.request(work) or self._ledger.request(first_of(work))
+
+    def work(self, rollout: RolloutId) -> WorkId:
+        """Return the rollout that the ledger wants, or the batch that it wants by the first one."""
+        return work_of(self._ledger.request(rollout))
 
     def record(self, worker: str, attempt: Attempt) -> Work:
         """Write an admitted result; return the rollouts that are wanted and unwanted from now on."""
         message, found = self._admitted[attempt]
-        header, rollout = message.header, attempt.rollout
-        if self._review.request(rollout) is not None:
-            self._review.take(worker, attempt, header.sha256)
+        header, rollout = message.header, first_of(attempt.rollout)
+        if self._review.request(attempt.rollout) is not None:
+            self._review.take(worker, attempt, header.sha256, message.payload)
             return Work()
         outcome = RESTORED if self._ledger.restores(rollout) else RECORDED
         if attempt in self._doubtful:
@@ -129,12 +143,20 @@ class Results:
         self._journal.attempts.ended(attempt, worker, outcome, header.cpu_seconds, header.wall_seconds)
         return work
 
-    def recorders(self, wanted: Iterable[RolloutId]) -> dict[RolloutId, str]:
+    def recorders(self, wanted: Iterable[WorkId]) -> dict[WorkId, str]:
         """Return the worker that recorded the original of each rollout that repeats one."""
-        reviewed = self._review.request
-        originals = {each: each if reviewed(each) else self._ledger.closing.original(each) for each in wanted}
-        found = {each: self._journal.attempts.worker_of(original) for each, original in originals.items() if original}
+        found = {
+            each: self._journal.attempts.worker_of(original) for each in wanted if (original := self._original(each))
+        }
         return {each: worker for each, worker in found.items() if worker is not None}
+
+    def _original(self, work: WorkId) -> WorkId | None:
+        """Return what a rollout or a batch repeats, as its attempts are called; None if it is a new one."""
+        if self._review.request(work):
+            return work
+        original = self._ledger.closing.original(first_of(work))
+        # It may be in a batch, whose attempts are called otherwise.
+        return original and parse_work(work_name(self._journal.rollout(original).path))
 
     def clear(self) -> None:
         """Drop what is decided on."""
@@ -168,7 +190,7 @@ class Grids:
     """
 
     def __init__(self) -> None:
-        self._senders: dict[str, tuple[str, RolloutId] | None] = {}
+        self._senders: dict[str, tuple[str, WorkId] | None] = {}
         self._confirmed = 0
 
     @property
@@ -176,7 +198,7 @@ class Grids:
         """Whether the system has grids of its own for its starts, so that an unknown one is no sign of a fault."""
         return self._confirmed >= VARIOUS
 
-    def is_known(self, times: Floats, worker: str, rollout: RolloutId) -> bool:
+    def is_known(self, times: Floats, worker: str, rollout: WorkId) -> bool:
         """Whether the grid (T,) of a worker's result is known; afterwards that worker has sent it."""
         grid, new = _digest(times), ("", rollout)
         first = self._senders.pop(grid, new)

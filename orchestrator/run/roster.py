@@ -9,7 +9,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from ...schemas import __version__
-from ...schemas.ids import Attempt, RolloutId
+from ...schemas.ids import Attempt, parse_work
 from ...schemas.link.messages import HEARTBEAT, PROTOCOL, WorkerState, heartbeat_interval, is_near
 from ...schemas.platforms import ANY
 from ...schemas.system import SystemSpec
@@ -106,7 +106,7 @@ class Roster:
         record.last_heartbeat, record.state = message.at, message.state
         state, attempt = message.state, None
         if state.rollout is not None and state.attempt is not None:
-            attempt = Attempt(RolloutId.parse(state.rollout), state.attempt)
+            attempt = Attempt(parse_work(state.rollout), state.attempt)
         return (*up, events.Reported(message.at, message.worker, attempt, state.progress, bool(state.leaving)))
 
     def admitted(self, worker: str) -> WorkerState | None:

@@ -16,7 +16,7 @@ from typing import Protocol
 from ...schemas.batch import alone
 from ...schemas.errors import Stopped
 from ...schemas.file.config import CampaignConfig
-from ...schemas.ids import closing_check
+from ...schemas.ids import WorkId, closing_check, first_of
 from ...schemas.values import ProblemProgress
 from ..campaign.ledger import Ledger, Work
 from ..fleet.children.processes import Fleet
@@ -175,7 +175,7 @@ class Service:
     def _begin_review(self) -> None:
         """Want once more what is doubted, when all else is done."""
         if self._done and (doubted := self._review.begin()):
-            self._demand(Work(wanted=doubted), resumed=True)
+            self._want(doubted, resumed=True)
             self._settle()
 
     def _turn(self, messages: list[Message], complete: float) -> None:
@@ -258,7 +258,7 @@ class Service:
         match action:
             case events.Record(worker, attempt):
                 # With the last damaged file the rollouts come back that were open before a restart.
-                resumed = self._ledger.restores(attempt.rollout)
+                resumed = self._ledger.restores(first_of(attempt.rollout))
                 self._demand(self._results.record(worker, attempt), resumed=resumed)
             case events.Start(worker, attempt):
                 state = self._roster.admitted(worker)
@@ -284,14 +284,16 @@ class Service:
 
     def _demand(self, work: Work, *, resumed: bool = False) -> None:
         """Want rollouts, or no longer; those that are `resumed` may have attempts before."""
-        now = time.monotonic()
         if work.unwanted:
-            self._events.append(events.Unwanted(now, tuple(work.unwanted)))
+            self._events.append(events.Unwanted(time.monotonic(), tuple(work.unwanted)))
         if work.wanted:
-            past = earlier(self._journal, work.wanted, self._state.limits.deadline) if resumed else NOTHING_BEFORE
-            compared = frozenset(each for each in work.wanted if self._review.compares(each))
-            avoid = self._results.recorders(work.wanted)
-            self._events.append(past.wanted(now, work.wanted, avoid, compared))
+            self._want([self._results.work(each) for each in work.wanted], resumed=resumed)
+
+    def _want(self, wanted: Sequence[WorkId], *, resumed: bool) -> None:
+        past = earlier(self._journal, wanted, self._state.limits.deadline) if resumed else NOTHING_BEFORE
+        compared = frozenset(each for each in wanted if self._review.compares(each))
+        avoid = self._results.recorders(wanted)
+        self._events.append(past.wanted(time.monotonic(), wanted, avoid, compared))
 
     def _send(self) -> None:
         """Send what the turn has decided, then end the run if the turn has decided that."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ...schemas.errors import one_line
-from ...schemas.ids import RolloutId
+from ...schemas.ids import WorkId
 from ...schemas.result.facts import HANDED_BACK
 from ..certificate.words.format import duration
 from ..fleet.dispatch import events
@@ -73,14 +73,14 @@ def still_aside(log: AttemptLog, print_line: Callable[[str], None]) -> Standings
 class Earlier:
     """What rollouts had before a restart: attempts, failures that count, what was compared, hand-backs."""
 
-    attempts: Mapping[RolloutId, int]
-    failed: Mapping[RolloutId, tuple[events.EarlierFailure, ...]]
-    opinions: Mapping[RolloutId, tuple[events.Opinion, ...]]
-    handed_back: Mapping[RolloutId, int]
+    attempts: Mapping[WorkId, int]
+    failed: Mapping[WorkId, tuple[events.EarlierFailure, ...]]
+    opinions: Mapping[WorkId, tuple[events.Opinion, ...]]
+    handed_back: Mapping[WorkId, int]
     """How often workers that were stopped gave them back."""
 
     def wanted(
-        self, at: float, rollouts: Sequence[RolloutId], avoid: Mapping[RolloutId, str], compared: frozenset[RolloutId]
+        self, at: float, rollouts: Sequence[WorkId], avoid: Mapping[WorkId, str], compared: frozenset[WorkId]
     ) -> events.Wanted:
         """Return the event that wants rollouts, with what they had before; its arguments are fields of that."""
         numbered = tuple((each, self.attempts.get(each, 0)) for each in rollouts)
@@ -90,7 +90,7 @@ class Earlier:
 NOTHING_BEFORE = Earlier({}, {}, {}, {})
 
 
-def earlier(journal: Journal, rollouts: Collection[RolloutId], deadline: float) -> Earlier:
+def earlier(journal: Journal, rollouts: Collection[WorkId], deadline: float) -> Earlier:
     """Return what these rollouts had before; `deadline` of a rollout in s, inside a transaction."""
     # Without second opinions nothing but a doubt is compared.
     doubtful = not journal.header.config.second_opinion
@@ -102,9 +102,9 @@ def earlier(journal: Journal, rollouts: Collection[RolloutId], deadline: float) 
     )
 
 
-def _failures_before(directory: Path, deadline: float) -> dict[RolloutId, tuple[events.EarlierFailure, ...]]:
+def _failures_before(directory: Path, deadline: float) -> dict[WorkId, tuple[events.EarlierFailure, ...]]:
     """Return the failures of earlier sessions that blame their rollouts; `deadline` of a rollout in s."""
-    found: dict[RolloutId, tuple[events.EarlierFailure, ...]] = {}
+    found: dict[WorkId, tuple[events.EarlierFailure, ...]] = {}
     for each in read.failures(directory):
         if blames_rollout(each.failure, deadline):
             failed = events.EarlierFailure(events.Fail(each.worker, each.attempt, each.failure), each.host)
@@ -113,10 +113,10 @@ def _failures_before(directory: Path, deadline: float) -> dict[RolloutId, tuple[
 
 
 def _opinions_before(
-    log: AttemptLog, rollouts: Collection[RolloutId], *, doubtful: bool
-) -> dict[RolloutId, tuple[events.Opinion, ...]]:
+    log: AttemptLog, rollouts: Collection[WorkId], *, doubtful: bool
+) -> dict[WorkId, tuple[events.Opinion, ...]]:
     """Return the results of these rollouts that have been compared, with `doubtful` for a doubt alone."""
-    found: dict[RolloutId, tuple[events.Opinion, ...]] = {}
+    found: dict[WorkId, tuple[events.Opinion, ...]] = {}
     for each in log.compared(frozenset(rollouts)):
         rollout = each.attempt.rollout
         opinion = events.Opinion(each.worker, each.host, each.attempt, each.sha256, doubtful=doubtful)
@@ -124,7 +124,7 @@ def _opinions_before(
     return found
 
 
-def doubted(journal: Journal) -> tuple[list[RolloutId], list[RolloutId]]:
+def doubted(journal: Journal) -> tuple[list[WorkId], list[WorkId]]:
     """Return the rollouts on which two workers differ, and those of outvoted workers; none without second opinions."""
     if not journal.header.config.second_opinion:
         return [], []

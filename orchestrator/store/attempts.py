@@ -8,11 +8,11 @@ from typing import Any
 import sqlalchemy as sa
 
 from ...schemas.failure import Failure
-from ...schemas.ids import Attempt, RolloutId
+from ...schemas.ids import Attempt, RolloutId, WorkId, parse_work
 from ...schemas.result.facts import RECORDED
 from . import tables
 from .pending import PendingRows
-from .rows import attempt_key, outcome_fields
+from .rows import attempt_key, outcome_fields, work_name
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,15 +63,14 @@ class AttemptLog:
         query = sa.select(seen.worker).where(seen.kind == "outvoted").group_by(seen.worker)
         return [str(row[0]) for row in self._rows.read(query.order_by(sa.func.min(seen.entry)))]
 
-    def suspects(self) -> list[RolloutId]:
-        """Return the rollouts that an outvoted worker recorded and that nobody else has confirmed or reviewed."""
+    def suspects(self) -> list[WorkId]:
+        """Return what an outvoted worker recorded and nobody else has confirmed or reviewed, by rollout or batch."""
         outvoted = set(self.outvoted())
         if not outvoted:
             return []
         rollouts, ended, seen = tables.rollouts.c, tables.outcomes.c, tables.opinions.c
-        columns = (rollouts.problem, rollouts.test, rollouts.variant, rollouts.replicate, rollouts.sha256)
-        rows: Sequence[Any] = self._rows.read(sa.select(*columns))
-        recorded = {str(RolloutId(*row[:4])): row[4] for row in rows}
+        rows: Sequence[Any] = self._rows.read(sa.select(rollouts.path, rollouts.sha256))
+        recorded = {work_name(path): sha256 for path, sha256 in rows}
         opinions = self._rows.read(sa.select(seen.kind, seen.rollout, seen.sha256).where(seen.worker.not_in(outvoted)))
         # A worker that was alone has agreed with itself, which says nothing for it; so does another's that differs.
         settled = {
@@ -80,18 +79,22 @@ class AttemptLog:
         query = sa.select(ended.rollout).distinct().where(ended.outcome == RECORDED, ended.worker.in_(outvoted))
         found = [row[0] for row in self._rows.read(query)]
         # A discarded rollout has an attempt, and no row.
-        return [RolloutId.parse(each) for each in found if each in recorded and each not in settled]
+        return [parse_work(each) for each in found if each in recorded and each not in settled]
 
-    def disputed(self) -> list[RolloutId]:
-        """Return the rollouts of which two workers have sent different results, and neither has been outvoted."""
-        outvoted = set(self.outvoted())
-        digests: dict[RolloutId, set[str]] = {}
+    def disputed(self) -> list[WorkId]:
+        """Return the rollouts and batches on which workers differ that are not outvoted, and nothing is decided."""
+        outvoted, seen, ended = set(self.outvoted()), tables.opinions.c, tables.outcomes.c
+        # Two that agree on a batch may differ in the rollouts that failed in it.
+        reviewed = self._rows.read(sa.select(seen.rollout).where(seen.kind == "reviewed"))
+        recorded = self._rows.read(sa.select(ended.rollout).where(ended.outcome == RECORDED))
+        decided = {name for (name,) in (*reviewed, *recorded)}
+        digests: dict[WorkId, set[str]] = {}
         for each in self.compared():
-            if each.worker not in outvoted:
+            if each.worker not in outvoted and str(each.attempt.rollout) not in decided:
                 digests.setdefault(each.attempt.rollout, set()).add(each.sha256)
-        return sorted(rollout for rollout, found in digests.items() if len(found) > 1)
+        return sorted((work for work, found in digests.items() if len(found) > 1), key=str)
 
-    def compared(self, rollouts: Container[RolloutId] | None = None) -> list[StoredOpinion]:
+    def compared(self, rollouts: Container[WorkId] | None = None) -> list[StoredOpinion]:
         """Return the results that were compared, of all rollouts or of these, in their order.
 
         Without those that were failures of the system, and without discarded rollouts, whose results fail today.
@@ -110,12 +113,12 @@ class AttemptLog:
         for name, number, worker, host, sha256 in rows:
             if name in without or (name, number) in excluded:
                 continue
-            rollout = RolloutId.parse(name)
+            rollout = parse_work(name)
             if rollouts is None or rollout in rollouts:
                 found.append(StoredOpinion(Attempt(rollout, number), worker, host or "", sha256))
         return found
 
-    def worker_of(self, rollout: RolloutId) -> str | None:
+    def worker_of(self, rollout: WorkId) -> str | None:
         """Return the worker whose result was recorded, after a discard the last one; also outside a transaction."""
         ended = tables.outcomes.c
         query = sa.select(ended.worker).where(ended.rollout == str(rollout), ended.outcome == RECORDED)

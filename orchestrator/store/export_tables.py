@@ -149,8 +149,9 @@ def _tests_table(header: Header) -> ExportTable:
 
 _outcome, _tried = tables.outcomes.c, tables.attempts.c
 _NAME = [sa.cast(each, sa.Text) for each in (_r.problem, _r.test, _r.variant, _r.replicate)]
-_TRIED = _NAME[0] + "." + _NAME[1] + "." + _NAME[2] + "." + _NAME[3]
-"""The rollout that names its attempts: of a batch the first one."""
+_PLACES = sa.case((_r.seeds.is_(None), ""), else_="." + sa.cast(_r.places, sa.Text))
+_TRIED = _NAME[0] + "." + _NAME[1] + "." + _NAME[2] + "." + _NAME[3] + _PLACES
+"""What attempts call the rollout or the batch."""
 _ATTEMPTS = sa.select(sa.func.count()).where(_tried.rollout == _TRIED).correlate(tables.rollouts).scalar_subquery()
 _earlier = tables.outcomes.alias()
 # After a discard there are two recorded attempts; the present row is of the last one.

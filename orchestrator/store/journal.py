@@ -168,6 +168,11 @@ class Journal:
         # The batch in which it failed may have it as well.
         return next(fact for each in found for fact in each_rollout(each) if fact.rollout == rollout)
 
+    def file(self, path: str) -> RolloutFact | BatchFact | None:
+        """Return what is recorded in a file; None for nothing; inside or outside a transaction."""
+        rows = self._rows.read(sa.select(tables.rollouts).where(tables.rollouts.c.path == path))
+        return rollout_fact(rows[0]) if rows else None
+
     @property
     def platform(self) -> str:
         """The class of machines of the campaign: that of its file, else of the session that began it."""

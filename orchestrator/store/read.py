@@ -11,7 +11,7 @@ import sqlalchemy as sa
 from sqlalchemy import Connection, Engine
 
 from ...schemas.failure import Failure
-from ...schemas.ids import Attempt, RolloutId, series_order
+from ...schemas.ids import Attempt, RolloutId, WorkId, parse_work, series_order
 from ...schemas.result.facts import (
     HANDED_BACK,
     RECORDED,
@@ -20,7 +20,7 @@ from ...schemas.result.facts import (
 from . import tables
 from .damage import naming_cause
 from .readonly import is_still, open_readonly
-from .rows import check_version, checked_header, existing
+from .rows import check_version, checked_header, existing, work_name
 
 
 @contextmanager
@@ -109,8 +109,8 @@ def system_reference(directory: Path) -> str:
         return str(found or header.config.system.reference(directory / f"{header.config.name}.toml"))
 
 
-def attempts(directory: Path) -> dict[RolloutId, int]:
-    """Return the highest attempt number of every rollout.
+def attempts(directory: Path) -> dict[WorkId, int]:
+    """Return the highest attempt number of every rollout, or batch.
 
     Raises:
         JournalError: there is no campaign in `directory`, or it cannot be read.
@@ -119,7 +119,7 @@ def attempts(directory: Path) -> dict[RolloutId, int]:
     columns = tables.attempts.c
     query = sa.select(columns.rollout, sa.func.max(columns.attempt)).group_by(columns.rollout)
     with reading(directory) as connection:
-        return {RolloutId.parse(rollout): number for rollout, number in connection.execute(query)}
+        return {parse_work(rollout): number for rollout, number in connection.execute(query)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,12 +149,12 @@ def failures(directory: Path) -> list[EndedAttempt]:
     with reading(directory) as connection:
         rows = connection.execute(query.order_by(ended.ended)).all()
     return [
-        EndedAttempt(Attempt(RolloutId.parse(rollout), number), worker, host or "", Failure(kind, reason))
+        EndedAttempt(Attempt(parse_work(rollout), number), worker, host or "", Failure(kind, reason))
         for rollout, number, worker, host, kind, reason in rows
     ]
 
 
-def hand_backs(directory: Path) -> dict[RolloutId, int]:
+def hand_backs(directory: Path) -> dict[WorkId, int]:
     """Return how often each rollout without a result was handed back; those that never were are absent.
 
     Raises:
@@ -166,7 +166,7 @@ def hand_backs(directory: Path) -> dict[RolloutId, int]:
     query = sa.select(columns.rollout, sa.func.count()).where(columns.outcome == HANDED_BACK)
     query = query.where(columns.rollout.not_in(recorded)).group_by(columns.rollout)
     with reading(directory) as connection:
-        return {RolloutId.parse(rollout): number for rollout, number in connection.execute(query)}
+        return {parse_work(rollout): number for rollout, number in connection.execute(query)}
 
 
 def irreproducible(directory: Path) -> int:
@@ -197,8 +197,8 @@ def contradicted(directory: Path) -> list[str]:
         reviewed = connection.execute(query).all()
         if not reviewed:
             return []
-        columns = (rollouts.problem, rollouts.test, rollouts.variant, rollouts.replicate, rollouts.sha256)
-        recorded = {str(RolloutId(*row[:4])): row[4] for row in connection.execute(sa.select(*columns))}
+        rows = connection.execute(sa.select(rollouts.path, rollouts.sha256))
+        recorded = {work_name(path): sha256 for path, sha256 in rows}
     # One that was discarded since has no row, and is no part of the evidence.
     return sorted({rollout for rollout, sha256 in reviewed if recorded.get(rollout, sha256) != sha256})
 

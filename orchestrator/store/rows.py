@@ -125,6 +125,11 @@ def header_row(header: Header) -> dict[str, Any]:
     }
 
 
+def work_name(path: str) -> str:
+    """Return what attempts call the rollout or the batch of a trajectory file, by its path."""
+    return Path(path).stem
+
+
 def attempt_key(attempt: Attempt) -> dict[str, Any]:
     """Return the key of an attempt in `attempts` and `outcomes`."""
     return {"rollout": str(attempt.rollout), "attempt": attempt.number}

@@ -236,7 +236,7 @@ each_observation = _view("each_observation", "seq", "problem", "test", "y", "eac
 each_rollout = _view(
     "each_rollout",
     *("seq", "problem", "test", "variant", "replicate", "seed", "sha256", "size", "path", "robustness"),
-    *("by_tolerance", "ended", "attempted", "batch", "kept"),
+    *("by_tolerance", "ended", "batch", "kept"),
 )
 
 FACTS = (campaign, tests, rollouts, discards, observations, bounds, extensions)

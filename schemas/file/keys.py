@@ -158,7 +158,9 @@ class CampaignKeys(CampaignSize):
         ge=1,
         description="s without progress that end an attempt of a system that shows its progress",
     )
-    deadline: float = Field(default=600.0, ge=1, description="longest attempt in s")
+    deadline: float = Field(
+        default=600.0, ge=1, description="longest attempt in s; of a batch that for each of its rollouts"
+    )
     second_opinion: float = Field(
         default=0.0,
         ge=0,

@@ -20,7 +20,13 @@ MAX_REQUEST = 2**20
 MAX_RESULT = MAX_FILE_BYTES
 """Bytes of one trajectory file."""
 
-Rollout = Annotated[str, Field(pattern=r"^[a-z_]{1,40}\.(0|[1-9][0-9]{0,8})\.(nominal|true)\.(0|[1-9][0-9]{0,5})$")]
+Rollout = Annotated[
+    str,
+    Field(
+        pattern=r"^[a-z_]{1,40}\.(0|[1-9][0-9]{0,8})\.(nominal|true)\.(0|[1-9][0-9]{0,5})(\.[1-9][0-9]{0,3})?$",
+        description="of a batch the name of its first rollout, and the number of all of them",
+    ),
+]
 """One text for each rollout: no leading zeros, and numbers in the ranges of `TestNumber` and `ReplicateNumber`."""
 Key = Annotated[str, Field(max_length=200)]
 """Compared, never shown."""
@@ -41,7 +47,7 @@ class Assign(Model):
 
 
 class AssignBatch(Model):
-    """Simulate this batch; everything else names it by its first rollout."""
+    """Simulate this batch."""
 
     type: Literal["assign_batch"] = "assign_batch"
     attempt: AttemptNumber

@@ -15,7 +15,7 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
@@ -106,11 +106,15 @@ class Batch:
     def _samples(self, place: int) -> Floats:
         return np.column_stack((self.time, self.values[:, place].T))
 
-    def digests(self) -> Iterator[bytes]:
-        """Yield the sha256 of every rollout, of its times and samples alone, so that no file and no batch decides it.
+    @cached_property
+    def digests(self) -> tuple[bytes, ...]:
+        """The sha256 of every rollout, of its times and samples alone, so that no file and no batch decides it.
 
         That of a failed one is empty.
         """
+        return tuple(self._digests())
+
+    def _digests(self) -> Iterator[bytes]:
         grid = hashlib.sha256(self.time.tobytes())
         by_rollout = np.ascontiguousarray(self.values.transpose(1, 0, 2))
         for place in range(len(self)):
@@ -203,7 +207,7 @@ def read_batch(data: bytes) -> BatchFile[Batch]:
     """
     try:
         check_checksums(data)
-        check_sizes(data)
+        check_sizes(data, arrays=2)  # the times as well
         metadata, attachments = canonical_evidence(data, OF_BATCH, visual=False)
         columns = json.loads(metadata["columns"])
         if not isinstance(columns, list) or not all(isinstance(name, str) for name in columns):

@@ -36,25 +36,26 @@ def check_checksums(data: bytes) -> None:
         raise TrajectoryError("the checksum of the data is wrong")
 
 
-def check_sizes(data: bytes) -> None:
-    """Refuse a file of many records, or with more than one large attachment: all but the samples become objects.
+def check_sizes(data: bytes, arrays: int = 1) -> None:
+    """Refuse a file of many records, or with more large attachments than `arrays`: all but these become objects.
 
     Raises:
         TrajectoryError: it is one.
         struct.error: a length in it is wrong.
 
     """
-    at, small, largest = len(MAGIC), 0, 0
+    at, small, attachments = len(MAGIC), 0, list[int]()
     for _ in range(MAX_RECORDS):
         opcode, length = _RECORD.unpack_from(data, at)
         if opcode in (Opcode.CHUNK, Opcode.DATA_END):
             break
         small, at = small + length, at + _RECORD.size + length
-        largest = max(largest, length) if opcode == Opcode.ATTACHMENT else largest
+        attachments += [length] if opcode == Opcode.ATTACHMENT else []
     else:
         raise TrajectoryError(f"more than {MAX_RECORDS} records")
-    if small - largest > MAX_NAMES:
-        raise TrajectoryError(f"{small - largest} bytes beside the samples are more than {MAX_NAMES}")
+    small -= sum(sorted(attachments)[-arrays:])
+    if small > MAX_NAMES:
+        raise TrajectoryError(f"{small} bytes beside the samples are more than {MAX_NAMES}")
 
 
 def check_length(name: str, content: bytes) -> None:

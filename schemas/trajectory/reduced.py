@@ -12,7 +12,7 @@ end) and, where rollouts have failed, `failures.json`.
 """
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -85,7 +85,7 @@ class Reduced:
         if any((self._digest(place) == bytes(DIGEST)) != failed[place] for place in range(count)):
             raise ValueError("a rollout has no digest, or a failed one has")
         # One that nothing is kept of is no `Batch`, and has nothing to check.
-        found = self.samples.digests() if self.samples is not None else ()
+        found = self.samples.digests if self.samples is not None else ()
         for place, digest in zip(self.kept, found, strict=True):
             if digest != self._digest(place):
                 raise ValueError(f"the samples of rollout {place} have another digest")
@@ -116,10 +116,10 @@ class Reduced:
             raise KeyError("its samples were not kept (key `keep`)")
         return Trajectory(self.columns, np.column_stack((self.time, self.values[:, self.kept.index(place)].T)))
 
-    def digests(self) -> Iterator[bytes]:
-        """Yield the digest of every rollout, as `Batch.digests`."""
-        for place in range(len(self)):
-            yield b"" if place in self.failures else self._digest(place)
+    @property
+    def digests(self) -> tuple[bytes, ...]:
+        """The digest of every rollout, as `Batch.digests`."""
+        return tuple(b"" if place in self.failures else self._digest(place) for place in range(len(self)))
 
     def _digest(self, place: int) -> bytes:
         return self.digest_column[DIGEST * place : DIGEST * (place + 1)]
@@ -127,7 +127,7 @@ class Reduced:
 
 def reduced(batch: Batch, kept: Sequence[int], scores: Scores, failures: Mapping[int, str]) -> Reduced:
     """Return a batch with the samples of `kept` alone; `failures` has those of the batch, and those without a score."""
-    digests = [bytes(DIGEST) if place in failures else each for place, each in enumerate(batch.digests())]
+    digests = [bytes(DIGEST) if place in failures else each for place, each in enumerate(batch.digests)]
     values = np.ascontiguousarray(batch.values[:, list(kept)])
     return Reduced(batch.columns, batch.time, tuple(kept), values, b"".join(digests), scores, failures)
 
@@ -152,7 +152,7 @@ def read_reduced(data: bytes) -> BatchFile[Reduced]:
     """Return the content of the one file that `encode_reduced` writes for it; raises as `read_batch`."""
     try:
         check_checksums(data)
-        check_sizes(data)
+        check_sizes(data, arrays=2)
         metadata, attachments = canonical_evidence(data, OF_REDUCED, visual=False)
         columns = json.loads(metadata["columns"])
         if not isinstance(columns, list) or not all(isinstance(name, str) for name in columns):

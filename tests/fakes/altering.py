@@ -1,6 +1,6 @@
 """The uplink of a worker that alters its results and proves what it sends: it has the secrets of its assignments."""
 
-from perfbound.schemas.link.messages import Assign, Request, ResultHeader, WorkerState
+from perfbound.schemas.link.messages import Assign, AssignBatch, Request, ResultHeader, WorkerState
 from perfbound.schemas.link.seal import result_proof
 from perfbound.workers.transport import Receiver
 from tests.fakes.inmemory import InMemoryUplink
@@ -19,7 +19,7 @@ class AlteringUplink:
         """Pass on, and remember the secrets."""
 
         def take(message: Request) -> None:
-            if isinstance(message, Assign):
+            if isinstance(message, Assign | AssignBatch):
                 self._secrets[message.request.rollout, message.attempt] = message.secret
             receive(message)
 

@@ -62,7 +62,7 @@ def finish(stage: Stage, directory: Path) -> None:
     """Issue the certificate of a campaign that was played to its end, and close its journal."""
     ledger, journal = stage.ledger, stage.journal
     found = manifest((sha256, path) for _, sha256, path in read.observed(directory))
-    files.write(directory, issue(ledger, found, irreproducible=read.irreproducible(directory) > 0), found.text)
+    files.write(directory, issue(ledger, found, irreproducible=read.irreproducible(directory)), found.text)
     journal.close()
 
 

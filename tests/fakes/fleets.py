@@ -28,7 +28,7 @@ from perfbound.orchestrator.fleet.dispatch.events import (
 from perfbound.orchestrator.fleet.dispatch.limits import Limits
 from perfbound.orchestrator.fleet.dispatch.state import DispatchState
 from perfbound.schemas.failure import Failure
-from perfbound.schemas.ids import Attempt, RolloutId
+from perfbound.schemas.ids import Attempt, RolloutId, WorkId, first_of
 from tests.fakes.invariants import check_invariants
 
 Behaviour = Literal["good", "slow", "broken", "raises", "silent", "endless", "dies", "absent", "lies"]
@@ -68,11 +68,11 @@ class Fleet:
     bad_rollout: Mapping[int, Behaviour] = field(default_factory=dict)
     """Rollouts, by test, that make every worker behave so."""
     now: float = 0.0
-    recorded: dict[RolloutId, str] = field(default_factory=dict)
+    recorded: dict[WorkId, str] = field(default_factory=dict)
     second_opinion: tuple[int, ...] | None = None
     """Rollouts, by test, that are compared; None without comparisons."""
     outvoted: list[str] = field(default_factory=list)
-    true: dict[RolloutId, bool] = field(default_factory=dict)
+    true: dict[WorkId, bool] = field(default_factory=dict)
     """Of each recorded rollout, whether it is."""
     poison: Poison | None = None
     pauses: list[tuple[float, SetAside | TakeBack]] = field(default_factory=list)
@@ -140,7 +140,7 @@ class Fleet:
             self._take(Reported(self.now, name, member.running, progress))
 
     def _work(self, name: str, member: Member, attempt: Attempt) -> None:
-        behaviour = self.bad_rollout.get(attempt.rollout.test, member.behaviour)
+        behaviour = self.bad_rollout.get(first_of(attempt.rollout).test, member.behaviour)
         if behaviour in ("silent", "endless") or self.now - member.since < SECONDS[behaviour]:
             return
         member.running = None

@@ -371,7 +371,7 @@ def serve(
                     raise TimeoutError(f"the campaign does not end; its last lines: {log.lines[-3:]}")
         outbox.forget(directory)
         found = manifest((sha256, path) for _, sha256, path in read.observed(directory))
-        known = {"irreproducible": read.irreproducible(directory) > 0, "contradicted": read.contradicted(directory)}
+        known = {"irreproducible": read.irreproducible(directory), "contradicted": read.contradicted(directory)}
         files.write(directory, issue(ledger, found, **known), found.text)  # type: ignore[arg-type]
     return (directory / files.CERTIFICATE).read_text()
 

@@ -156,7 +156,7 @@ def simulate(
             return None
         found = manifest((sha256, path) for _, sha256, path in read.observed(directory))
         regions = campaign_regions(ledger)
-        certificate = issue(ledger, found, irreproducible=read.irreproducible(directory) > 0, regions=regions)
+        certificate = issue(ledger, found, irreproducible=read.irreproducible(directory), regions=regions)
         files.write(directory, certificate, found.text, None if regions is None else regions.csv)
     finally:
         journal.close()

@@ -30,6 +30,7 @@ BUILD = Path(__file__).parents[2] / "build"
 @click.option("--seed", type=int, default=1, show_default=True, help="Of the schedule.")
 @click.option("--only", type=click.Choice(sorted(FAULTS)), default=None, help="Only this class.")
 @click.option("--run", "number", type=int, default=None, help="Only the run of this number.")
+@click.option("--batch", type=click.IntRange(1), default=1, show_default=True, help="Rollouts of a batch.")
 @click.option("--parallel", type=click.IntRange(1), default=3, show_default=True, help="Runs at a time.")
 @click.option("--folder", type=click.Path(path_type=Path), default=BUILD / "faults", help="Of all that is written.")
 @click.option("--resume", is_flag=True, help="Repeat no run that is recorded in the folder.")
@@ -40,6 +41,7 @@ def main(  # the options of the command
     seed: int,
     only: str | None,
     number: int | None,
+    batch: int,
     parallel: int,
     folder: Path,
     resume: bool,
@@ -50,10 +52,10 @@ def main(  # the options of the command
     """
     if not resume:
         shutil.rmtree(folder, ignore_errors=True)
-    log = Log(folder, seed, only)
+    log = Log(folder, seed, only, batch)
     if MISSING:
         click.echo(f"skipped  segway: {MISSING}", err=True)
-    subjects = _subjects(folder / "calm", [only] if only else sorted(FAULTS))
+    subjects = _subjects(folder / "calm", [only] if only else sorted(FAULTS), batch)
     every = range(runs) if runs else itertools.count()
     numbers = [number] if number is not None else (each for each in every if each not in log.known)
     limit = minutes or (10.0 if runs is None else float("inf"))
@@ -66,21 +68,21 @@ def main(  # the options of the command
         sys.exit(1)
 
 
-def _subjects(folder: Path, faults: Sequence[str]) -> dict[str, Subject]:
+def _subjects(folder: Path, faults: Sequence[str], batch: int) -> dict[str, Subject]:
     """Return the campaigns of these classes, each with its calm run; those of an earlier invocation are used again."""
-    there = [name for name in NAMES if not (name == "segway" and MISSING)]
+    there = [name for name in NAMES if not (name == "segway" and (MISSING or batch > 1))]
     wanted = [name for name in there if any(name in FAULTS[fault].subjects for fault in faults)]
-    return {name: prepare(name, folder / name) for name in wanted}
+    return {name: prepare(name, folder / name, batch) for name in wanted}
 
 
 class Log:
     """The runs of one schedule, also those of an earlier invocation; for one thread at a time."""
 
-    def __init__(self, folder: Path, seed: int, only: str | None) -> None:
+    def __init__(self, folder: Path, seed: int, only: str | None, batch: int) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        self.folder, self.seed, self._path = folder, seed, folder / "runs.jsonl"
+        self.folder, self.seed, self.batch, self._path = folder, seed, batch, folder / "runs.jsonl"
         self.known: dict[int, Run] = {}
-        head = json.dumps({"seed": seed, "only": only})
+        head = json.dumps({"seed": seed, "only": only, "batch": batch})
         lines = self._path.read_text().splitlines() if self._path.exists() else [head]
         if lines[0] != head:
             raise click.UsageError(f"{self._path} is of {lines[0]}; choose another --folder, or leave --resume out")
@@ -94,7 +96,7 @@ class Log:
         self.known[run.number] = run
         with self._path.open("a") as file:
             file.write(json.dumps(asdict(run)) + "\n")
-        _tell(run, self.seed)
+        _tell(run, self.seed, self.batch)
 
 
 def _over(minutes: float) -> Callable[[], bool]:
@@ -148,7 +150,7 @@ def _perform_all(schedule: Iterator[tuple[int, Fault]], subjects: dict[str, Subj
             each.result()
 
 
-def _tell(run: Run, seed: int) -> None:
+def _tell(run: Run, seed: int, batch: int) -> None:
     """Print one line of a run, and what is wrong with it below."""
     state = "ok" if run.verdict.good else "FAILED"
     what = "; ".join(run.done)
@@ -156,7 +158,8 @@ def _tell(run: Run, seed: int) -> None:
     if not run.verdict.good:
         for kind, found in asdict(run.verdict).items():
             _tell_findings(kind, found)
-        click.echo(f"      again: python -m tests.faults --seed {seed} --only {run.fault} --run {run.number}")
+        again = f"--seed {seed} --batch {batch} --only {run.fault} --run {run.number}"
+        click.echo(f"      again: python -m tests.faults {again}")
 
 
 def _tell_findings(kind: str, found: Sequence[str]) -> None:

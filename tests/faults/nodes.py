@@ -4,7 +4,10 @@ import json
 from pathlib import Path
 from typing import Any
 
-from perfbound.schemas.trajectory.trajectory import read_mcap
+from perfbound.schemas.batch import BatchRequest
+from perfbound.schemas.ids import FileId
+from perfbound.schemas.trajectory.batch import read_batch
+from perfbound.schemas.trajectory.trajectory import File, read_mcap
 from tests.end_to_end.processes import Ended, Process, query, wait_for
 from tests.faults.faulty_function import honest
 from tests.faults.scene import Scene
@@ -72,10 +75,8 @@ def turning_node(scene: Scene) -> None:
 
 def _judge(scene: Scene, ended: Ended, name: str) -> list[str]:
     """Return the false rollouts behind the certificate, which says enough about them."""
-    rows = query(
-        scene.directory, "SELECT problem || '.' || test || '.' || variant || '.' || replicate, path FROM rollouts"
-    )
-    wrong = [str(rollout) for rollout, path in rows if _is_false(scene.directory / str(path))]
+    rows = query(scene.directory, "SELECT path FROM rollouts")
+    wrong = [Path(str(path)).stem for (path,) in rows if _is_false(scene.directory / str(path))]
     scene.misled = wrong != []
     document = json.loads((scene.directory / "certificate.json").read_bytes())["predicate"]
     honesty: dict[str, Any] = next(each for each in document["assumptions"] if each["id"] == "workers_honest")
@@ -91,7 +92,15 @@ def _judge(scene: Scene, ended: Ended, name: str) -> list[str]:
 
 
 def _is_false(file: Path) -> bool:
-    found = read_mcap(file.read_bytes())
+    name, data = FileId.parse(file.stem), file.read_bytes()
+    if not name.places:
+        return _is_false_rollout(read_mcap(data))
+    found = read_batch(data)
+    request = BatchRequest.model_validate_json(found.request)
+    return any(_is_false_rollout(found.alone(request.rollouts[place])) for place in found.batch.succeeded)
+
+
+def _is_false_rollout(found: File) -> bool:
     x, variant, seed = (found.request[key] for key in ("x", "variant", "seed"))
     return bool(found.trajectory.samples[0, 1] != honest(x, variant, seed))
 

@@ -4,7 +4,9 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.end_to_end.processes import processes, query, write_campaign
+from perfbound.orchestrator.store.facts import observed_rollouts
+from perfbound.schemas.ids import closing_check
+from tests.end_to_end.processes import processes, query, recorded, write_campaign
 
 ROOT = Path(__file__).parents[2]
 PLUGIN = Path(__file__).with_name("faulty_function.py")
@@ -91,6 +93,35 @@ kernel = {{ nu = 10.0, length_scale = 1.0 }}
 """
 """Two trajectories are compared in every test of the gap."""
 
+BATCHES = """name = "{name}"
+seed = 1
+horizon = 1.0
+specification = "always (value >= -0.45)"
+clip = [-1.0, 1.0]
+claims = [{{ quantity = "failure_probability", delta = 0.05 }}, {{ quantity = "mean", delta = 0.05 }}]
+batch = {batch}
+visual = "none"
+max_attempts = {max_attempts}
+hung_after = {hung_after}
+deadline = {deadline}
+recheck = 4
+second_opinion = {second_opinion}
+
+[system]
+name = "faulty-function"
+pace = {pace}
+
+[space]
+z1 = {{ low = 0.0, high = 5.0, unit = "1" }}
+z2 = {{ low = 0.0, high = 5.0, unit = "1" }}
+
+[[problems]]
+name = "robustness"
+method = "sample"
+max_tests = {tests}
+"""
+"""In place of each of the others, where faults are done to batches."""
+
 
 @dataclass(frozen=True)
 class Subject:
@@ -101,11 +132,12 @@ class Subject:
     calm: Path
     plugins: Path
     hung_after: float
+    batch: int = 1
 
     @property
     def rollouts(self) -> int:
-        """Number of rollouts of the calm run."""
-        return len(self.seeds)
+        """Number of recorded rollouts, or batches, of the calm run."""
+        return len(self.seeds) if self.batch == 1 else recorded(self.calm)
 
     @property
     def path(self) -> str:
@@ -115,6 +147,8 @@ class Subject:
     @property
     def seeds(self) -> list[int]:
         """Of the rollouts of observed tests, in their order; another run need not try a withdrawn one."""
+        if self.batch > 1:
+            return [fact.seed for fact in observed_rollouts(self.calm) if not closing_check(fact.rollout.problem)]
         observed = "JOIN observations USING (problem, test)"
         rows = query(self.calm, f"SELECT seed FROM rollouts {observed} ORDER BY problem, test, variant, replicate")
         return [int(str(row[0])) for row in rows]
@@ -147,10 +181,14 @@ LIMITS = {
 NAMES = (*LIMITS, "segway")
 
 
-def function_campaign(name: str, limits: str, **changes: float) -> str:
-    """Return the file of a campaign with the limits of a subject."""
-    text = GAP if limits == "gap" else FUNCTION
-    return text.format(name=name, **{"second_opinion": 0.0, **LIMITS[limits], **changes})
+def function_campaign(name: str, limits: str, batch: int = 1, /, **changes: float) -> str:
+    """Return the file of a campaign with the limits of a subject; its batches last twice as long as its rollouts."""
+    text, found = GAP if limits == "gap" else FUNCTION, {"second_opinion": 0.0, **LIMITS[limits], **changes}
+    if batch > 1:
+        text, each = BATCHES, 2 / batch
+        found |= {"tests": int(found["tests"] / each), "pace": found["pace"] * each}
+        found |= {"deadline": max(1.0, found["deadline"] * each)}
+    return text.format(name=name, batch=batch, **found)
 
 
 def _hung_after(name: str) -> float:
@@ -167,19 +205,19 @@ def install(folder: Path) -> Path:
     return folder
 
 
-def prepare(name: str, folder: Path) -> Subject:
+def prepare(name: str, folder: Path, batch: int = 1) -> Subject:
     """Write a campaign, and run it in peace, unless that has been done in `folder`."""
     campaign, plugins = folder / "campaign.toml", folder / "plugins"
     if (folder / "calm" / "certificate.json").exists():
-        return Subject(name, campaign, folder / "calm", plugins, _hung_after(name))
+        return Subject(name, campaign, folder / "calm", plugins, _hung_after(name), batch)
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     install(plugins)
     if name == "segway":
         write_campaign(campaign, hung_after=str(_hung_after(name)), max_attempts="50")
     else:
-        campaign.write_text(function_campaign(name, name))
-    subject = Subject(name, campaign, folder / "calm", plugins, _hung_after(name))
+        campaign.write_text(function_campaign(name, name, batch))
+    subject = Subject(name, campaign, folder / "calm", plugins, _hung_after(name), batch)
     with processes(folder) as started:
         calm = started.start("perfbound", "run", campaign, "--out", subject.calm, PYTHONPATH=subject.path).wait()
     assert calm.code == 0, calm.err

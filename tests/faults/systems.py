@@ -4,6 +4,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from perfbound.orchestrator.fleet.link.inbox import RESULTS
+from perfbound.orchestrator.store.facts import observed_rollouts
+from perfbound.schemas.ids import closing_check
+from perfbound.schemas.result.facts import RolloutFact
 from tests.end_to_end.processes import query, wait_for
 from tests.faults.faulty_function import BEFORE, BIG
 from tests.faults.memory import LIBRARIES, memory
@@ -82,11 +85,12 @@ def poison(scene: Scene) -> None:
     scene.start(workers=scene.chance.choice((1, 2, 3)))
     ended = scene.end()
     scene.did(f"{kind} in every attempt of the rollout of seed {seed}", fault=False)
-    rollout = _rollout(scene, seed)
+    rollout = _rollout(scene, seed, alone=kind in OF_SYSTEM)
     last = ended.err.splitlines()[-1]
     assert ended.code == 1, f"exit {ended.code}: {ended.err[-1500:]}"
     attempts = 2 if kind in OF_SYSTEM else 5
-    assert f"rollout {rollout} failed {attempts} times" in last, last
+    what = "rollout" if kind in OF_SYSTEM or scene.subject.batch == 1 else "batch"
+    assert f"{what} {rollout} failed {attempts} times" in last, last
     assert all(f"attempt {number} on local-" in last for number in range(1, attempts + 1)), last
     scene.injected += len(query(scene.directory, f"SELECT * FROM outcomes WHERE rollout = '{rollout}'"))
     always.unlink()
@@ -117,6 +121,14 @@ def a_plan(scene: Scene) -> Path:
     return plan
 
 
-def _rollout(scene: Scene, seed: int) -> str:
+def _rollout(scene: Scene, seed: int, *, alone: bool) -> str:
+    """Return what attempts call the rollout of a seed, or its batch, which it fails in before it is made again."""
+    if scene.subject.batch > 1:
+        (found,) = (each for each in observed_rollouts(scene.subject.calm) if each.seed == seed and _is_new(each))
+        return f"{found.rollout}.1" if alone else Path(found.path).stem
     text = f"SELECT path FROM rollouts WHERE seed = {seed}"
     return Path(str(query(scene.subject.calm, text)[0][0])).stem
+
+
+def _is_new(fact: RolloutFact) -> bool:
+    return closing_check(fact.rollout.problem) is None

@@ -3,11 +3,13 @@
 import hashlib
 import json
 import os
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from perfbound.orchestrator.store import lock, read
+from perfbound.orchestrator.store.facts import observed_rollouts
 from perfbound.schemas.atomic import TEMPORARY
 from tests.end_to_end.processes import query
 from tests.faults.scene import Scene
@@ -46,14 +48,15 @@ def judge(scene: Scene, found: Verdict) -> None:
     found.twice += _twice(directory, rows)
     found.lost += _lost(directory, rows)
     if not scene.misled:
-        found.lost += _missing(calm, rows)
+        found.lost += _missing(calm, rows) if scene.subject.batch == 1 else []
+        found.different += _other_rollouts(directory, calm)
     for name in ("certificate.json", "manifest.sha256"):
         path = directory / name
         if not path.exists():
             found.different.append(f"no {name}")
-        elif not (scene.misled or _equal(path, calm / name, irreproducible=scene.irreproducible)):
+        elif not (scene.misled or _equal(path, calm / name, scene)):
             found.different.append(f"{name} differs from the calm one")
-    count = read.irreproducible(directory)
+    count = read.irreproducible(directory) + _failed_in_batches(directory)
     if bool(count) != scene.irreproducible:
         found.different.append(f"{count} rollouts are irreproducible")
     found.leftovers += _orphans(directory, {str(row[0]) for row in rows})
@@ -61,11 +64,35 @@ def judge(scene: Scene, found: Verdict) -> None:
         found.leftovers.append("the lock is held")
 
 
-def _equal(path: Path, calm: Path, *, irreproducible: bool) -> bool:
-    """Whether a file has the bytes of the calm one; `irreproducible` leaves one assumption of the certificate out."""
-    if irreproducible and path.name == "certificate.json":
-        return without(path.read_bytes(), REPRODUCIBLE) == without(calm.read_bytes(), REPRODUCIBLE)
-    return path.read_bytes() == calm.read_bytes()
+def _equal(path: Path, calm: Path, scene: Scene) -> bool:
+    """Whether a file has the bytes of the calm one; where rollouts failed one assumption of the certificate differs.
+
+    What failed in its batch is in another file, and so the manifest is another one.
+    """
+    if not scene.irreproducible:
+        return path.read_bytes() == calm.read_bytes()
+    if path.name != "certificate.json":
+        return scene.subject.batch > 1 or path.read_bytes() == calm.read_bytes()
+    ours, theirs = (without(each.read_bytes(), REPRODUCIBLE) for each in (path, calm))
+    if scene.subject.batch > 1:
+        for each in (ours, theirs):
+            del each["subject"], each["predicate"]["evidence"]["manifest_sha256"]
+    return ours == theirs
+
+
+def _other_rollouts(directory: Path, calm: Path) -> list[str]:
+    """Return the observed rollouts that are not those of the calm run, or are there twice; also within batches."""
+    ours, theirs = (
+        Counter((fact.rollout, fact.seed, fact.sha256) for fact in observed_rollouts(each))
+        for each in (directory, calm)
+    )
+    return [f"{rollout} is not the one of the calm run" for rollout, *_ in ((ours - theirs) + (theirs - ours))]
+
+
+def _failed_in_batches(directory: Path) -> int:
+    """Return the number of rollouts that failed in their batches."""
+    rows = query(directory, "SELECT failures FROM rollouts WHERE failures IS NOT NULL")
+    return sum(len(json.loads(str(failures))) for (failures,) in rows)
 
 
 def without(certificate: bytes, assumption: str) -> dict[str, Any]:
@@ -84,9 +111,9 @@ def _twice(directory: Path, rows: list[tuple[object, ...]]) -> list[str]:
     paths = [row[0] for row in rows]
     found = [f"two rows of {path}" for path in sorted({str(path) for path in paths if paths.count(path) > 1})]
     text = (
-        "SELECT problem || '-' || test || '-' || variant || '-' || replicate, count(outcome) FROM rollouts "
+        "SELECT path, count(outcome) FROM rollouts "
         "LEFT JOIN outcomes ON path LIKE '%/' || rollout || '.mcap' AND outcome = 'recorded' "
-        "GROUP BY problem, test, variant, replicate HAVING count(outcome) != 1"
+        "GROUP BY path HAVING count(outcome) != 1"
     )
     return found + [f"{count} attempts recorded of {rollout}" for rollout, count in query(directory, text)]
 

@@ -67,16 +67,16 @@ def assumptions(
     accounts: Mapping[str, Account],
     checks: ClosingResults,
     *,
-    irreproducible: bool,
+    failed: int,
     honest: Assumption | None = None,
     sampled: Callable[[Account], Iterable[Assumption]] | None = None,
 ) -> list[Assumption]:
     """Return every assumption of the campaign, bound by bound, then those of the whole.
 
     `accounts` has everything with a bound of its own, see `campaign.bounded`.
-    With `irreproducible` the system failed in an attempt at a rollout that was recorded later. `honest` takes the place
-    of what is assumed of the workers. Regions that a fresh start contradicts refute the norm. `sampled` takes the
-    place of the tests of independence and of one law, which read trajectories.
+    `failed` attempts at rollouts that were recorded later have failed in the system. `honest` takes the place of what
+    is assumed of the workers. Regions that a fresh start contradicts refute the norm. `sampled` takes the place of the
+    tests of independence and of one law, which read trajectories.
     """
     tested = sampled or partial(sampled_assumptions, ledger)
     repeated = ledger.header.spec.repeated
@@ -93,7 +93,7 @@ def assumptions(
         "rollouts": sum(sum(account.counts.values()) for account in ledger.accounts.values())
     }
     found.append(assumption("finite_rollouts", "derived", rollouts))
-    reproducible = _reproducible(checks.recheck, measured=measured, irreproducible=irreproducible)
+    reproducible = _reproducible(checks.recheck, measured=measured, failed=failed)
     if reproducible.form is None and ledger.header.spec.batch_is_the_unit:
         reproducible = assumption(
             reproducible.id, reproducible.status, reproducible.values, form="reproducible_batches"
@@ -184,14 +184,14 @@ def _of_regions(found: Iterable[Assumption], name: str, regions: CertifiedRegion
             yield each
 
 
-def _reproducible(recheck: Recheck | None, *, measured: bool, irreproducible: bool) -> Assumption:
+def _reproducible(recheck: Recheck | None, *, measured: bool, failed: int) -> Assumption:
     """Return the assumption that a rollout follows from its seed; in fixed words where an attempt failed."""
-    name, values = "reproducible_rollouts", {}
+    name, values = "reproducible_rollouts", dict[str, int | float | str]()
     if recheck is not None and recheck.rollouts:
         percent = math.ceil(1000 * recheck.unseen_share) / 10
         values = {"rechecked": recheck.rollouts, "agreed": recheck.agreed, "percent": percent}
-    if irreproducible and not (recheck and recheck.agreed < recheck.rollouts):
-        return assumption(name, "refuted", values, form="failures_vary")
+    if failed and not (recheck and recheck.agreed < recheck.rollouts):
+        return assumption(name, "refuted", {"failed": failed, **values}, form="failures_vary")
     if not values:
         return assumption(name, "assumed", form="measured" if measured else None)
     return assumption(name, "not refuted" if recheck and recheck.agreed == recheck.rollouts else "refuted", values)

@@ -324,8 +324,9 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "(sha256 {sha256}) is kept.",
     },
     "failures_vary": {
-        "refuted": "an attempt at a rollout failed or gave another trajectory, and its repetition with the same seed "
-        "did not: rollouts depend on more than the seed, so the recorded ones may be selected by their outcome.",
+        "refuted": "attempts at rollouts that failed or gave another trajectory, while a repetition with the same "
+        "seed did not: {failed}. Rollouts depend on more than the seed, so the recorded ones may be selected by their "
+        "outcome.",
     },
     "measured": {
         "assumed": "the rollouts were handed in, and no simulator repeats one with its seed: nothing shows that none "

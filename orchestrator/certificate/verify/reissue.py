@@ -18,7 +18,7 @@ from .rerun import Rerun
 PROBABILITIES = ("probability", "probabilities")
 
 
-def reissue(rerun: Rerun, *, irreproducible: bool, contradicted: Sequence[str]) -> Certificate:
+def reissue(rerun: Rerun, *, irreproducible: int, contradicted: Sequence[str]) -> Certificate:
     """Return the certificate that follows from the evidence, and from what no trajectory file shows, as for `issue`."""
     found = manifest(rerun.observed(), observed_discards(rerun.ledger))
     return issue(rerun.ledger, found, irreproducible=irreproducible, contradicted=contradicted)

@@ -133,7 +133,7 @@ def _batch_difference(before: bytes, after: bytes) -> float:
 
 def _same_digests(before: bytes, after: bytes) -> bool:
     """Whether the rollouts that succeeded in both batches agree in every bit."""
-    pairs = zip(read_stored(before).batch.digests(), read_stored(after).batch.digests(), strict=True)
+    pairs = zip(read_stored(before).batch.digests, read_stored(after).batch.digests, strict=True)
     return all(one == other for one, other in pairs if one and other)
 
 

@@ -21,7 +21,7 @@ from ....schemas.result.certificate import Assumption, Certificate
 from ....schemas.result.facts import ExtensionFact, Header, ProposalFact
 from ....schemas.rollout import RolloutRequest
 from ...campaign.checks import check
-from ...campaign.ledger import observed_discards, observed_rollouts
+from ...campaign.ledger import failed_attempts, observed_discards, observed_rollouts
 from ...campaign.software import other_numerics
 from ...fleet.children.simulate import simulate_to
 from ...store import files as evidence
@@ -146,7 +146,7 @@ def _evidence(
     with checks.making("problems"):
         reissued = reissue(
             rerun,
-            irreproducible=_irreproducible(directory, certificate),
+            irreproducible=_irreproducible(directory, certificate, failed_attempts(rerun.ledger)),
             contradicted=_contradicted(directory, certificate),
         )
         for name, fault, detail in compared(header, reissued, certificate):
@@ -249,11 +249,15 @@ def _database(rerun: Rerun, stored: UntrustedFacts, checks: Checks) -> None:
         checks.judge("database", fault, detail)
 
 
-def _irreproducible(directory: Path, certificate: Certificate) -> bool:
-    """Whether the system failed in an attempt at a recorded rollout; no trajectory file shows that."""
+def _irreproducible(directory: Path, certificate: Certificate, evident: int) -> int:
+    """Return the rollouts and batches that were recorded after the system had failed in an attempt.
+
+    That no trajectory file shows, unlike the `evident` failed attempts.
+    """
     # The database may be cut down, so a certificate that admits more than the database shows is believed.
     admitted = [each for each in certificate.predicate.assumptions if each.id == "reproducible_rollouts"]
-    return any(each.status == "refuted" for each in admitted) or irreproducible(directory) > 0
+    failed = [number for each in admitted if isinstance(number := each.values.get("failed"), int)]
+    return max(irreproducible(directory), *(number - evident for number in failed), 0)
 
 
 def _contradicted(directory: Path, certificate: Certificate) -> list[str]:
@@ -294,7 +298,8 @@ def _software(header: Header, checks: Checks) -> bool:
 
 
 def _simulate(header: Header, system: str | None, path: Path, request: RolloutRequest | BatchRequest) -> None:
-    simulate_to(path, request, header.spec, system, limit=header.config.deadline)
+    limit = header.config.deadline * (len(request) if isinstance(request, BatchRequest) else 1)
+    simulate_to(path, request, header.spec, system, limit=limit)
 
 
 def _resimulation(wanted: Repetition, rollouts: int, *, checks: Checks, report: Report) -> None:

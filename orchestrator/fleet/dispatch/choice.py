@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ....schemas.ids import RolloutId
+from ....schemas.ids import WorkId
 from .retries import ELSEWHERE, OVER, SAME_WORKER
 from .standing import FOR_GOOD, Place, Standing, in_a_row, is_aside, last_failure
 from .state import SERVING, DispatchState, Worker
@@ -41,18 +41,18 @@ def others_in_good_standing(state: DispatchState, at: float, *, worker: str, hos
     )
 
 
-def nearest(state: DispatchState, rollout: RolloutId, at: float) -> int:
+def nearest(state: DispatchState, rollout: WorkId, at: float) -> int:
     """Return the lowest `Open.rank` of an open rollout among the workers that may try it; that of a repeat for none."""
     known = state.open[rollout]
     return min((known.rank(name, state.workers[name].host) for name in eligible(state, at)), default=SAME_WORKER)
 
 
-def is_alone(state: DispatchState, rollout: RolloutId, at: float) -> bool:
+def is_alone(state: DispatchState, rollout: WorkId, at: float) -> bool:
     """Whether none but workers that have tried an open rollout can try it, now or soon."""
     return nearest(state, rollout, at) == SAME_WORKER and not others_may_come(state, rollout, at)
 
 
-def others_may_come(state: DispatchState, rollout: RolloutId, at: float) -> bool:
+def others_may_come(state: DispatchState, rollout: WorkId, at: float) -> bool:
     """Whether an open rollout is to wait for a worker that is out of reach, or not known yet, and has not tried it."""
     known = state.open[rollout]
     blamed = known.is_blamed(state.limits.deadline)
@@ -96,13 +96,13 @@ def _is_expected(state: DispatchState, worker: Worker, at: float) -> bool:
 class Pairs:
     """What a turn hands out, and what continues to wait."""
 
-    found: list[tuple[str, RolloutId]]
+    found: list[tuple[str, WorkId]]
     """Idle workers with a rollout each."""
-    passed: tuple[RolloutId, ...]
+    passed: tuple[WorkId, ...]
     """Rollouts that wait for another worker than the idle ones."""
-    tried: tuple[RolloutId, ...]
+    tried: tuple[WorkId, ...]
     """Those of them that every worker which may get one has tried."""
-    rest: tuple[RolloutId, ...]
+    rest: tuple[WorkId, ...]
     """Rollouts for which no worker was left."""
 
 
@@ -111,7 +111,7 @@ def pairs(state: DispatchState, at: float) -> Pairs:
     allowed = eligible(state, at)
     # Sorted: the order of the mapping depends on the order in which the workers came.
     free = sorted(name for name in allowed if state.workers[name].phase == "idle")
-    found, left, tried, reached = list[tuple[str, RolloutId]](), list[RolloutId](), list[RolloutId](), 0
+    found, left, tried, reached = list[tuple[str, WorkId]](), list[WorkId](), list[WorkId](), 0
     for rollout in state.waiting:
         if not free:
             break
@@ -127,7 +127,7 @@ def pairs(state: DispatchState, at: float) -> Pairs:
 
 
 def _worker(
-    state: DispatchState, rollout: RolloutId, free: Sequence[str], allowed: Sequence[str], at: float
+    state: DispatchState, rollout: WorkId, free: Sequence[str], allowed: Sequence[str], at: float
 ) -> tuple[str | None, int]:
     """Return the free worker for a rollout, None if a better one is busy or may come; and the lowest `Open.rank`."""
     known = state.open[rollout]

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from ....schemas.failure import Failure
-from ....schemas.ids import Attempt, RolloutId
+from ....schemas.ids import Attempt, RolloutId, WorkId
 from .standing import Place
 
 
@@ -18,6 +18,8 @@ class Opinion:
     digest: str
     doubtful: bool = False
     """Whether it is compared for a doubt alone, and not for the honesty of its worker."""
+    each: tuple[bytes, ...] = ()
+    """Of a batch of this session the digest of each rollout, empty for one that failed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,22 +27,22 @@ class Wanted:
     """Rollouts to be simulated, each with its attempts before a restart."""
 
     at: float
-    rollouts: tuple[tuple[RolloutId, int], ...]
-    avoid: Mapping[RolloutId, str] = field(default_factory=dict)
+    rollouts: tuple[tuple[WorkId, int], ...]
+    avoid: Mapping[WorkId, str] = field(default_factory=dict)
     """Workers that shall not simulate a rollout while there is another one: a recheck by another process says more."""
-    compared: frozenset[RolloutId] = frozenset()
+    compared: frozenset[WorkId] = frozenset()
     """Those that get a second opinion."""
-    failed: Mapping[RolloutId, tuple["EarlierFailure", ...]] = field(default_factory=dict)
+    failed: Mapping[WorkId, tuple["EarlierFailure", ...]] = field(default_factory=dict)
     """Failures before a restart that count."""
-    opinions: Mapping[RolloutId, tuple[Opinion, ...]] = field(default_factory=dict)
+    opinions: Mapping[WorkId, tuple[Opinion, ...]] = field(default_factory=dict)
     """Results that were compared before a restart."""
-    handed_back: Mapping[RolloutId, int] = field(default_factory=dict)
+    handed_back: Mapping[WorkId, int] = field(default_factory=dict)
     """Times that workers handed a rollout back before a restart."""
 
 
 @dataclass(frozen=True, slots=True)
 class Unwanted:
-    """Rollouts that are no longer needed."""
+    """Rollouts that are no longer needed; of a batch its first one."""
 
     at: float
     rollouts: tuple[RolloutId, ...]
@@ -89,6 +91,8 @@ class Delivered:
     """Of a result."""
     doubtful: bool = False
     """Whether something in the result is unlike all others, so that it counts only if it is repeated."""
+    each: tuple[bytes, ...] = ()
+    """As in `Opinion`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,7 +204,7 @@ class Requeue:
 class OftenHandedBack:
     """Report that a rollout is handed back again and again, the last time by `worker`; it is tried all the same."""
 
-    rollout: RolloutId
+    rollout: WorkId
     times: int
     worker: str
     host: str
@@ -210,7 +214,7 @@ class OftenHandedBack:
 class AwaitOther:
     """Report that a rollout waits at most so many seconds for a worker that has not tried it."""
 
-    rollout: RolloutId
+    rollout: WorkId
     seconds: float
 
 
@@ -267,7 +271,7 @@ class Outvoted:
 class Poison:
     """A rollout fails again and again: the campaign cannot continue."""
 
-    rollout: RolloutId
+    rollout: WorkId
     failures: tuple[Fail, ...]
 
 

@@ -36,7 +36,7 @@ from dataclasses import replace
 from typing import Literal
 
 from ....schemas.failure import Failure
-from ....schemas.ids import Attempt, RolloutId
+from ....schemas.ids import Attempt, WorkId, first_of, rollouts_of
 from .blame import charge, clear, forget_past, take_back
 from .choice import eligible, has_others, is_alone, nearest
 from .events import (
@@ -148,7 +148,7 @@ def _want(state: DispatchState, event: Wanted) -> Outcome:
     return state, tuple(map(GiveUp, alone)) if repeats else ()
 
 
-def _opened(event: Wanted, rollout: RolloutId, attempts: int) -> Open:
+def _opened(event: Wanted, rollout: WorkId, attempts: int) -> Open:
     # Of before a restart only failures that blame the rollout: the machines may have been repaired since.
     earlier = event.failed.get(rollout, ())
     fails, hosts = tuple(each.fail for each in earlier), tuple(each.host for each in earlier)
@@ -157,7 +157,8 @@ def _opened(event: Wanted, rollout: RolloutId, attempts: int) -> Open:
 
 
 def _forget(state: DispatchState, event: Unwanted) -> Outcome:
-    dropped = frozenset(event.rollouts)
+    withdrawn = frozenset(event.rollouts)
+    dropped = frozenset(each for each in state.open if first_of(each) in withdrawn)
     cancels = []
     # The problem has stopped. A cancel may be lost, so the worker counts as busy until it reports idle.
     for name, worker in state.workers.items():
@@ -295,7 +296,7 @@ def _release(state: DispatchState, name: str, attempt: Attempt) -> DispatchState
     return _put(state, name, Worker("idle", host=worker.host))
 
 
-def _cancel_others(state: DispatchState, rollout: RolloutId, at: float) -> Outcome:
+def _cancel_others(state: DispatchState, rollout: WorkId, at: float) -> Outcome:
     cancels = []
     for name, worker in state.workers.items():
         if worker.attempt is not None and worker.attempt.rollout == rollout:
@@ -336,9 +337,11 @@ def _watch(state: DispatchState, name: str, worker: Worker, at: float) -> Outcom
         return state, ()
     if at - worker.progress_at >= limits.hung_after:
         return _shun(state, name, worker, Failure("infrastructure", f"no progress for {limits.hung_after:g} s"), at)
-    # Progress alone is not enough: a rollout may grow slower without end.
-    if at - worker.started_at >= limits.deadline:
-        return _shun(state, name, worker, missed(limits.deadline), at)
+    # Progress alone is not enough: a rollout may grow slower without end. A batch may take as long as its rollouts
+    # one by one, which a system that is not vectorised simulates in turn.
+    rollouts = rollouts_of(worker.attempt.rollout)
+    if at - worker.started_at >= limits.deadline * rollouts:
+        return _shun(state, name, worker, missed(limits.deadline, rollouts), at)
     # Delivery is at most once, so the assignment or the heartbeat that confirms it may be lost.
     if worker.phase == "sent" and at - worker.sent_at >= limits.resend_after:
         return _put(state, name, replace(worker, sent_at=at)), (Resend(name, worker.attempt),)
@@ -395,12 +398,12 @@ def _assign(state: DispatchState, at: float) -> Outcome:
     return replace(state, workers=workers, open=opened), (*waits, *back, *starts)
 
 
-def _close_rollouts(state: DispatchState, rollouts: frozenset[RolloutId]) -> DispatchState:
+def _close_rollouts(state: DispatchState, rollouts: frozenset[WorkId]) -> DispatchState:
     waiting = tuple(each for each in state.waiting if each not in rollouts)
     return replace(_close(state, rollouts), waiting=waiting)
 
 
-def _close(state: DispatchState, rollouts: frozenset[RolloutId]) -> DispatchState:
+def _close(state: DispatchState, rollouts: frozenset[WorkId]) -> DispatchState:
     left = dict(state.open)  # a copy costs a tenth of a comprehension
     for rollout in rollouts:
         left.pop(rollout, None)

@@ -11,6 +11,10 @@ it has contradicted itself. Nothing that an outvoted worker has sent counts as a
 the rollout is poisoned: a worker that is alone has to agree with itself each time. What was compared before a restart
 counts after it, so that no restart makes two that differ one that agrees.
 
+Of a batch a rollout may fail in one result and not in another one. That is a failure of the system, and outvotes
+nobody. A result counts once every rollout that it has is in another result as well; those that failed in it are made
+again.
+
 A *doubtful* result is unlike all others in its form. It is repeated in the same way, and counts once two digests agree,
 be they of one worker: the system may fail in any process. A result that is not doubtful settles the doubt at once. What
 differs from the one that counts is then a failure of the system, and nobody is outvoted.
@@ -20,7 +24,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from ....schemas.failure import Failure
-from ....schemas.ids import Attempt, RolloutId
+from ....schemas.ids import Attempt, WorkId
 from .blame import charge
 from .choice import has_others, is_alone, is_outvoted
 from .events import Action, Compared, Delivered, Fail, GiveUp, Opinion, Outvoted, Poison, SetAside
@@ -33,6 +37,8 @@ MOST = 3
 """Results of a rollout of which two have to agree."""
 UNLIKE = Failure("system", "its trajectory is not the one that its repetition gave")
 """The failure of a doubtful result that is not repeated."""
+PARTLY = Failure("system", "rollouts failed in its batch that do not fail in a repetition")
+"""The failure of a result that lacks rollouts of the one that counts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,18 +66,18 @@ def consider(state: DispatchState, event: Delivered) -> Decision:
     repeats = any(each.worker == name for each in known.opinions)
     if repeats and not is_alone(state, rollout, event.at):
         return Decision(queued_again(state, rollout), counts=False)  # an attempt of before, and another worker is there
-    opinion = Opinion(name, state.host(name), event.attempt, event.digest, doubtful=not compared)
+    opinion = Opinion(name, state.host(name), event.attempt, event.digest, doubtful=not compared, each=event.each)
     known = replace(known, opinions=(*known.opinions, opinion))
     state = replace(state, open={**state.open, rollout: known})
     noted = Compared(name, event.attempt, event.digest)
     counted = [each for each in known.opinions if not is_outvoted(state, each.worker)]
-    agreeing = [each.worker for each in counted if each.digest == event.digest]
+    agreeing = [each.worker for each in counted if has_all_of(each, event)]
     # A doubt is one about the system, so two equal results of one worker settle it.
     if not compared and len(agreeing) > 1:
         return _settled(state, rollout, event, noted)
     # A worker that repeats itself says nothing against another one, nor against what it has sent before.
     if len(agreeing) > 1 and (len(set(agreeing)) > 1 or len(agreeing) == len(counted)):
-        return _agreed(state, opinion, agreeing, noted)
+        return _agreed(state, opinion, agreeing, noted, event.at)
     # Without a majority among three only a worker that is not here could tell who is right.
     if len(counted) >= MOST:
         return _divided(state, rollout, noted)
@@ -89,7 +95,7 @@ def without(standings: Standings, workers: Iterable[str]) -> Standings:
     return {**standings, **banned}
 
 
-def queued_again(state: DispatchState, rollout: RolloutId) -> DispatchState:
+def queued_again(state: DispatchState, rollout: WorkId) -> DispatchState:
     """Let an open rollout wait for a worker, before all others, unless it waits or is simulated already."""
     if not state.is_undecided(rollout):
         return state
@@ -103,19 +109,43 @@ def _is_first(state: DispatchState, worker: str, at: float) -> bool:
     return has_others(state, worker, at)
 
 
-def _settled(state: DispatchState, rollout: RolloutId, event: Delivered, *noted: Action) -> Decision:
+def _settled(state: DispatchState, rollout: WorkId, event: Delivered, *noted: Action) -> Decision:
     """Let a result count, and those before it that differ be failures of the system."""
     actions: list[Action] = [*noted]
     for each in state.open[rollout].opinions:
-        if each.digest != event.digest:
-            failed = Fail(each.worker, each.attempt, UNLIKE)
+        if not has_all_of(each, event):
             # As any failure: who often sends what is unlike all others is set aside, and nobody outvoted for a doubt.
-            state, aside = charge(state, failed, event.at)
-            actions += [failed, *aside]
+            state, failed = _charged(state, each, UNLIKE if contradicts(each, event) else PARTLY, event.at)
+            actions += failed
     return Decision(state, counts=True, actions=tuple(actions))
 
 
-def _agreed(state: DispatchState, last: Opinion, agreeing: list[str], compared: Compared) -> Decision:
+def _charged(state: DispatchState, opinion: Opinion, failure: Failure, at: float) -> tuple[DispatchState, list[Action]]:
+    failed = Fail(opinion.worker, opinion.attempt, failure)
+    state, aside = charge(state, failed, at)
+    return state, [failed, *aside]
+
+
+def has_all_of(opinion: Opinion, other: Opinion | Delivered) -> bool:
+    """Whether an opinion has every rollout that another result has, bit by bit; of a batch it may have more."""
+    pairs = _pairs(opinion, other)
+    return opinion.digest == other.digest or (bool(pairs) and all(theirs in (b"", own) for own, theirs in pairs))
+
+
+def contradicts(opinion: Opinion, other: Opinion | Delivered) -> bool:
+    """Whether an opinion differs from another result in a rollout that both have."""
+    pairs = _pairs(opinion, other)
+    if opinion.digest == other.digest:
+        return False
+    return not pairs or any(own and theirs and own != theirs for own, theirs in pairs)
+
+
+def _pairs(opinion: Opinion, other: Opinion | Delivered) -> list[tuple[bytes, bytes]]:
+    """Return the digests of each rollout of a batch; none where they are not known, as those of before a restart."""
+    return list(zip(opinion.each, other.each, strict=True)) if len(opinion.each) == len(other.each) else []
+
+
+def _agreed(state: DispatchState, last: Opinion, agreeing: list[str], compared: Compared, at: float) -> Decision:
     """Let a result count that two agree on; whoever has sent another one is outvoted."""
     rollout = last.attempt.rollout
     if len(set(agreeing)) > 1:  # of a worker that was alone nothing has been compared with another one's
@@ -123,7 +153,11 @@ def _agreed(state: DispatchState, last: Opinion, agreeing: list[str], compared: 
         state = replace(state, comparisons={**state.comparisons, **counts})
     actions: list[Action] = [compared]
     for each in state.open[rollout].opinions:
-        if each.digest == last.digest or is_outvoted(state, each.worker):
+        if has_all_of(each, last) or is_outvoted(state, each.worker):
+            continue
+        if not contradicts(each, last):
+            state, failed = _charged(state, each, PARTLY, at)
+            actions += failed
             continue
         place = Place("worker", each.worker)
         state = replace(state, standings=without(state.standings, [each.worker]))
@@ -133,14 +167,14 @@ def _agreed(state: DispatchState, last: Opinion, agreeing: list[str], compared: 
     return Decision(state, counts=True, actions=tuple(actions))
 
 
-def _grounds(rollout: RolloutId, worker: str, agreeing: list[str]) -> str:
+def _grounds(rollout: WorkId, worker: str, agreeing: list[str]) -> str:
     if worker not in agreeing:
         return f"its trajectory of {rollout} differs from that of two others ({', '.join(agreeing)})"
     others = ", ".join(each for each in agreeing if each != worker)
     return f"its trajectory of {rollout} differs from another one of its own, which is that of {others}"
 
 
-def _divided(state: DispatchState, rollout: RolloutId, compared: Compared) -> Decision:
+def _divided(state: DispatchState, rollout: WorkId, compared: Compared) -> Decision:
     known = state.open[rollout]
     state = replace(state, open={**state.open, rollout: replace(known, poisoned=True)})
     differing = tuple(_difference(each.worker, each.attempt, each.digest) for each in known.opinions)

@@ -77,15 +77,16 @@ class Open:
         return any(blames_rollout(each.failure, deadline) for each in counted)
 
 
-def missed(deadline: float) -> Failure:
-    """Return the failure of an attempt that exceeds its deadline, in s."""
-    return Failure("infrastructure", f"not done after {deadline:g} s")
+def missed(deadline: float, rollouts: int = 1) -> Failure:
+    """Return the failure of an attempt that exceeds its deadline, in s for each of its rollouts."""
+    each = f" for each of its {rollouts} rollouts" if rollouts > 1 else ""
+    return Failure("infrastructure", f"not done after {deadline:g} s{each}")
 
 
 def blames_rollout(failure: Failure, deadline: float) -> bool:
     """Whether a failure says something about its rollout, and not about its worker alone."""
     # Not a crash: kill -9, the memory killer and a segmentation fault look alike, and each would blame its rollout.
-    return failure.kind == "system" or failure == missed(deadline)
+    return failure.kind == "system" or failure.reason.startswith(missed(deadline).reason)
 
 
 def is_poison(known: Open, limits: Limits, *, proven: Container[str], alone: bool, elsewhere: bool) -> bool:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from ....schemas.ids import Attempt, RolloutId
+from ....schemas.ids import Attempt, WorkId
 from .limits import Limits
 from .retries import Open
 from .standing import Place, Standing
@@ -61,8 +61,8 @@ class DispatchState:
     alone_from: float = 0.0
     """Before this time workers that are not known yet may come and decide a dispute: those of before a restart."""
     workers: Mapping[str, Worker] = field(default_factory=dict)
-    open: Mapping[RolloutId, Open] = field(default_factory=dict)
-    waiting: tuple[RolloutId, ...] = ()
+    open: Mapping[WorkId, Open] = field(default_factory=dict)
+    waiting: tuple[WorkId, ...] = ()
     standings: Mapping[Place, Standing] = field(default_factory=dict)
     """Of the workers and hosts that failed and have not succeeded since."""
     proven: frozenset[str] = frozenset()
@@ -72,7 +72,7 @@ class DispatchState:
     comparisons: Mapping[str, int] = field(default_factory=dict)
     """Results of a worker that agreed with another one's."""
 
-    def is_undecided(self, rollout: RolloutId) -> bool:
+    def is_undecided(self, rollout: WorkId) -> bool:
         """Whether nothing has been decided on an open rollout since its last attempt ended."""
         held = any(each.attempt is not None and each.attempt.rollout == rollout for each in self.workers.values())
         return not (self.open[rollout].poisoned or held or rollout in self.waiting)

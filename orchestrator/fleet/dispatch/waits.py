@@ -11,13 +11,13 @@ so that a local one is replaced by a fresh process.
 from collections.abc import Sequence
 from dataclasses import replace
 
-from ....schemas.ids import Attempt, RolloutId
+from ....schemas.ids import Attempt, WorkId
 from .choice import eligible, nearest, others_may_come, pairs
 from .events import AwaitOther, GiveUp, LinkChanged, RouterChanged
 from .retries import NOT_YET, OVER, SAME_WORKER, Open
 from .state import DispatchState, Worker
 
-Pair = tuple[str, RolloutId]
+Pair = tuple[str, WorkId]
 
 
 def hand_out(state: DispatchState, at: float) -> tuple[DispatchState, list[Pair], tuple[AwaitOther | GiveUp, ...]]:
@@ -55,7 +55,7 @@ def end_waits(state: DispatchState, at: float) -> DispatchState:
 
 
 def _begin_waits(
-    state: DispatchState, tried: Sequence[RolloutId], at: float
+    state: DispatchState, tried: Sequence[WorkId], at: float
 ) -> tuple[DispatchState, tuple[AwaitOther, ...]]:
     """Begin the waits of those rollouts that none but the same workers can try for now; report the first one."""
     found = [each for each in tried if not state.open[each].is_waiting and others_may_come(state, each, at)]
@@ -69,14 +69,14 @@ def _begin_waits(
     return state, () if others else (AwaitOther(found[0], seconds),)
 
 
-def _is_last_resort(state: DispatchState, worker: str, rollout: RolloutId) -> bool:
+def _is_last_resort(state: DispatchState, worker: str, rollout: WorkId) -> bool:
     """Whether a worker repeats a rollout for which no other one has come, and has not been given up for that."""
     known = state.open[rollout]
     is_due = known.waits_until == OVER and not known.renewed
     return is_due and known.rank(worker, state.host(worker)) == SAME_WORKER
 
 
-def _with(state: DispatchState, rollout: RolloutId, known: Open) -> DispatchState:
+def _with(state: DispatchState, rollout: WorkId, known: Open) -> DispatchState:
     return replace(state, open={**state.open, rollout: known})
 
 

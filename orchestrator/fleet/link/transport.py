@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import zenoh
 
 from ....schemas.errors import MessageError, SealError, shortened
-from ....schemas.ids import Attempt, RolloutId
+from ....schemas.ids import Attempt, parse_work
 from ....schemas.link import key_expressions, seal
 from ....schemas.link.configuration import Tls, reachable
 from ....schemas.link.ends import OrchestratorEnd
@@ -69,7 +69,7 @@ class Result:
     @property
     def attempt(self) -> Attempt:
         """The attempt that has ended."""
-        return Attempt(RolloutId.parse(self.header.rollout), self.header.attempt)
+        return Attempt(parse_work(self.header.rollout), self.header.attempt)
 
 
 @dataclass(frozen=True, slots=True)

@@ -117,7 +117,7 @@ class SoFarListener:
             violations,
             partial(read_values, self._directory, variant, problems),
             unit=self._unit,
-            irreproducible=read.irreproducible(self._directory) > 0,
+            irreproducible=read.irreproducible(self._directory),
         )
         return holding, violations
 

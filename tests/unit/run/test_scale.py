@@ -25,7 +25,7 @@ from perfbound.orchestrator.store.changes import ChangeReader
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.progress import read_progress
 from perfbound.orchestrator.store.rows import DATABASE
-from perfbound.schemas.ids import RolloutId
+from perfbound.schemas.ids import RolloutId, first_of
 from tests.campaigns import cheap
 from tests.fakes.invariants import check_invariants
 from tests.fakes.puppets import Stage
@@ -186,9 +186,9 @@ def crowd(workers: int, rollouts: int) -> DispatchState:
 def test_all_idle_workers_get_the_oldest_rollouts_at_once(workers: int, rollouts: int) -> None:
     state, actions = machine.advance(crowd(workers, rollouts), HandOut(1.0))
     check_invariants(state)
-    starts = [(each.worker, each.attempt.rollout.test) for each in actions if isinstance(each, Start)]
+    starts = [(each.worker, first_of(each.attempt.rollout).test) for each in actions if isinstance(each, Start)]
     assert starts == [(f"w{number}", number) for number in range(min(workers, rollouts))]
-    assert [each.test for each in state.waiting] == list(range(len(starts), rollouts))
+    assert [first_of(each).test for each in state.waiting] == list(range(len(starts), rollouts))
 
 
 def test_a_heartbeat_of_an_idle_worker_changes_nothing() -> None:

@@ -13,7 +13,7 @@ def test_rollouts_are_in_the_order_of_tests_and_then_of_replicates() -> None:
     request = batch_request(one.spec, [(1.0,), (2.0,)], replicates=2, replicate=5, seeds=(7, 8, 9, 10))
     assert request.rollouts == [RolloutId("mean", test, "nominal", each) for test in (3, 4) for each in (5, 6)]
     assert request.starts.tolist() == [[1.0], [1.0], [2.0], [2.0]]
-    assert request.rollout == "mean.3.nominal.5"
+    assert request.rollout == "mean.3.nominal.5.4", "the retry of its first rollout has another name"
 
 
 def test_the_request_for_one_is_that_of_a_rollout_alone() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import perfbound as pb
+from perfbound.schemas import batch as requests
 from perfbound.schemas.errors import DefinitionError, SimulationError
 from perfbound.schemas.trajectory.batch import Batch, read_batch
 from perfbound.schemas.trajectory.trajectory import decode
@@ -42,7 +43,7 @@ def test_each_rollout_is_the_one_that_is_simulated_alone(system: SystemUnderTest
 
 def test_a_vectorised_system_gives_what_the_same_one_gives_in_turn() -> None:
     first, second = (simulated(each, STARTS, replicates=3) for each in (one, many))
-    assert list(first.digests()) == list(second.digests())
+    assert list(first.digests) == list(second.digests)
 
 
 def test_a_rollout_that_fails_leaves_the_others_as_they_are() -> None:
@@ -51,7 +52,7 @@ def test_a_rollout_that_fails_leaves_the_others_as_they_are() -> None:
     assert found.failures.keys() == {1, 2}
     assert found.failures[1].startswith("RuntimeError: the model diverged (batches.py, line ")
     assert found.failures[2].startswith("samples are not finite: z is nan at t = 0 s, row 0")
-    assert [each for each in found.digests() if each] == list(without.digests())
+    assert [each for each in found.digests if each] == list(without.digests)
     assert simulated(many, starts[:1] + starts[2:]).failures == {1: found.failures[2]}
 
 
@@ -187,3 +188,22 @@ def test_only_a_vectorised_system_repeats_a_batch() -> None:
     again = request.single(0).model_copy(update={"within": request.within(0)})
     with pytest.raises(SimulationError, match="one is not vectorised, and repeats no batch"):
         run_request_on(one, again, lambda _: None)
+
+
+@pytest.mark.parametrize("vectorised", [False, True])
+def test_a_batch_that_is_too_large_is_refused_after_one_rollout(
+    monkeypatch: pytest.MonkeyPatch,
+    vectorised: bool,
+) -> None:
+    monkeypatch.setattr(requests, "MAX_FILE_BYTES", requests.SPARE_BYTES + 1000)
+    calls: list[Any] = []
+
+    def system(a: Any, *, horizon: float = 1.0) -> Any:
+        calls.append(a)
+        return np.zeros((*np.shape(a), 50, 1))
+
+    keys: dict[str, Any] = {"parameters": {"a": pb.Parameter(0, 10)}, "columns": {"y": "m"}, "step": 0.02}
+    made = pb.system(**keys, vectorised=vectorised)(system)
+    with pytest.raises(SimulationError, match=r"3 trajectories of 50 samples are 1\.2 kB.*`batch = 2`"):
+        simulated(made, STARTS)
+    assert len(calls) == 1

@@ -97,7 +97,7 @@ def test_the_files_have_what_their_key_says(name: str, tmp_path: Path) -> None:
         for fact, batch in batches(play):
             assert fact.robustness is not None
             assert fact.kept == list(batch.kept)
-            assert [each or bytes(32) for each in batch.digests()] == [bytes(each) for each in fact.digests]
+            assert [each or bytes(32) for each in batch.digests] == [bytes(each) for each in fact.digests]
             values += fact.robustness[fact.succeeded].tolist()
             kept += fact.robustness[fact.kept].tolist()
             if batch.samples is not None:

@@ -43,9 +43,10 @@ from perfbound.orchestrator.fleet.dispatch.events import (
 )
 from perfbound.orchestrator.fleet.dispatch.limits import Limits
 from perfbound.orchestrator.fleet.dispatch.machine import KNOWN, LEGAL, OFTEN, SIDE_EFFECTS
+from perfbound.orchestrator.fleet.dispatch.retries import blames_rollout, missed
 from perfbound.orchestrator.fleet.dispatch.state import DispatchState
 from perfbound.schemas.failure import Failure
-from perfbound.schemas.ids import Attempt, RolloutId
+from perfbound.schemas.ids import Attempt, FileId, RolloutId, WorkId
 from perfbound.schemas.link.messages import heartbeat_interval
 from tests.fakes.invariants import check_invariants
 
@@ -87,6 +88,7 @@ def busy(rollout: RolloutId, number: int = 1, *, worker: str = "w", at: float = 
     return Reported(at, worker, Attempt(rollout, number), progress)
 
 
+SLOW_BATCH = Limits(deadline=10.0)
 BAD, RAISED = Failure("infrastructure", "bad"), Failure("system", "the solver did not converge")
 
 
@@ -102,6 +104,20 @@ def up(worker: str = "w", at: float = 0.0) -> tuple[Event, Event]:
 
 def first(rollout: RolloutId, number: int = 1) -> Attempt:
     return Attempt(rollout, number)
+
+
+def test_a_batch_may_take_the_deadline_for_each_of_its_rollouts() -> None:
+    batch = FileId(R[0], 16)
+    wanted = Wanted(0.0, ((batch, 0),))
+    attempt = Attempt(batch, 1)
+    for at in (9.0, 159.0):
+        state, actions = after(*up(), wanted, Reported(at, "w", attempt, int(at)), Tick(at), limits=SLOW_BATCH)
+        assert actions == [], at
+        assert state.workers["w"].attempt == attempt
+    _, actions = after(*up(), wanted, Reported(160.0, "w", attempt, 9), Tick(160.0), limits=SLOW_BATCH)
+    (failed,) = (each for each in actions if isinstance(each, Fail))
+    assert failed.failure == missed(10.0, 16)
+    assert blames_rollout(failed.failure, 10.0)
 
 
 # The table
@@ -684,7 +700,7 @@ class World:
     """Workers, a network and an orchestrator that mirrors `Service`, on one simulated clock."""
 
     def __init__(
-        self, chaos: Chaos, rollouts: int, workers: int, limits: Limits, always_fails: frozenset[RolloutId]
+        self, chaos: Chaos, rollouts: int, workers: int, limits: Limits, always_fails: frozenset[WorkId]
     ) -> None:
         self.chaos, self.limits, self.rng = chaos, limits, random.Random(chaos.seed)
         self.rollouts = [RolloutId("p", test, "true", 0) for test in range(rollouts)]
@@ -694,10 +710,10 @@ class World:
         self.processes: dict[str, Process] = {}
         self._names = itertools.count()
         # Durable state
-        self.recorded: list[RolloutId] = []
+        self.recorded: list[WorkId] = []
         self.started: set[Attempt] = set()
-        self.failures: dict[RolloutId, int] = {}
-        self.poison: dict[RolloutId, tuple[Fail, ...]] = {}
+        self.failures: dict[WorkId, int] = {}
+        self.poison: dict[WorkId, tuple[Fail, ...]] = {}
         self.generation = 0
         self._restart()
         for number in range(workers):
@@ -759,7 +775,7 @@ class World:
 
     def _restart(self) -> None:
         self.generation += 1
-        attempts: dict[RolloutId, int] = {}
+        attempts: dict[WorkId, int] = {}
         for attempt in self.started:
             attempts[attempt.rollout] = max(attempts.get(attempt.rollout, 0), attempt.number)
         self.state = DispatchState(self.limits, self.now + 2.5 if self.generation > 1 else 0.0)

@@ -242,3 +242,13 @@ def test_fixed_starts_in_place_of_a_lattice_are_said_in_a_line() -> None:
     assert says(line, "robustness: 4,096 4 parameters 'sample'")
     assert list(scope(plans(whole, spec(3)), listed_alone=True)) == []
     assert len(list(scope(plans(whole, spec(3))))) == 1
+
+
+def test_a_batch_whose_file_would_be_too_large_is_refused_with_the_largest_one() -> None:
+    large = spec(2).model_copy(update={"trajectory_bytes": 2**20})
+    config = parsed(table("sample", 2, batch=100))
+    check_new(config, spec(2), "c.toml")
+    with pytest.raises(CampaignError) as error:
+        check_new(config, large, "c.toml")
+    assert says(str(error.value), "^c.toml: batch: 100 1.05 MB 105 MB 67.1 MB choose at most 63")
+    check_new(config.model_copy(update={"batch": 63}), large, "c.toml")

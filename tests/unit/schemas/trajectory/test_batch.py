@@ -56,13 +56,13 @@ def test_a_trajectory_is_that_of_its_rollout() -> None:
 def test_a_digest_is_that_of_the_rollout_alone() -> None:
     """Neither the other rollouts of the batch nor the place among them changes it."""
     whole, failed = a_batch(), a_batch({1: "diverged"})
-    digests = list(whole.digests())
+    digests = list(whole.digests)
     assert len(set(digests)) == 4
-    assert list(failed.digests()) == [digests[0], b"", *digests[2:]]
+    assert list(failed.digests) == [digests[0], b"", *digests[2:]]
     turned = Batch(COLUMNS, whole.time.copy(), whole.values[:, ::-1].copy())
-    assert list(turned.digests()) == digests[::-1]
+    assert list(turned.digests) == digests[::-1]
     later = Batch(COLUMNS, whole.time + 1.0, whole.values.copy())
-    assert not set(later.digests()) & set(digests)
+    assert not set(later.digests) & set(digests)
 
 
 def test_equal_content_gives_equal_bytes() -> None:
@@ -148,3 +148,11 @@ def test_no_changed_byte_passes(place: int) -> None:
     file[place % len(file)] ^= 1
     with pytest.raises(TrajectoryError):
         read_batch(bytes(file))
+
+
+def test_a_batch_may_have_as_many_times_as_a_rollout_alone() -> None:
+    count = 200_000
+    found = a_file(time_npy=to_npy(np.linspace(0.0, 1.0, count)), trajectory_npy=to_npy(np.ones((2, 4, count))))
+    assert read_batch(found).batch.values.shape == (2, 4, count)
+    with pytest.raises(TrajectoryError, match=r"request\.json has 2097152 bytes"):
+        read_batch(a_file(request_json=b" " * 2**21, trajectory_npy=to_npy(np.ones((2, 4, count)))))

@@ -43,7 +43,7 @@ def test_its_file_has_the_whole_content(kept: list[int], failures: dict[int, str
     assert (file.request, file.metadata["first"]) == (b'{"a":1}', "p.0.true.0")
     assert (found.kept, found.failures, found.columns) == (tuple(kept), failures, COLUMNS)
     assert np.array_equal(found.values, whole.values[:, kept])
-    assert list(found.digests()) == list(whole.digests())
+    assert list(found.digests) == list(whole.digests)
     for one, other in zip(found.scores, scores(failures), strict=True):
         assert np.array_equal(one, other, equal_nan=one.dtype == np.float64)
 
@@ -69,10 +69,10 @@ def test_a_file_is_read_as_what_it_is() -> None:
 
 
 def test_a_digest_of_one_rollout_is_the_one_in_its_batch() -> None:
-    digests = list(a_batch().digests())
+    digests = list(a_batch().digests)
     assert [digest_of(a_batch().trajectory(place)) for place in range(4)] == digests
     negative = Batch(("t", "x"), np.array([0.0]), np.array([[[-0.0], [0.0]]]))
-    assert len(set(negative.digests())) == 2, "-0.0 and 0.0 are equal numbers, and not the same result"
+    assert len(set(negative.digests)) == 2, "-0.0 and 0.0 are equal numbers, and not the same result"
 
 
 def test_a_reduced_rollout_is_said_to_be_reduced() -> None:
