@@ -258,7 +258,11 @@ def status(*, directory: Path, as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps(view.status_object(directory)))
     else:
-        view.print_status(directory, output_console())
+        console = output_console()
+        # A campaign of a million rollouts, or of planned tests, takes seconds.
+        with STDERR.console.status("reading the campaign"), console.capture() as text:
+            view.print_status(directory, console)
+        click.echo(text.get(), nl=False, color=True)
 
 
 @cli.command()

@@ -21,6 +21,7 @@ from ..orchestrator.run.options import RunOptions, check_workers
 from ..orchestrator.store import export, read
 from ..orchestrator.store.export_tables import robustness_unit
 from ..orchestrator.store.rows import DATABASE, existing
+from ..schemas.amounts import counted
 from ..schemas.errors import EvidenceError, PerfboundError
 from ..schemas.file.config import CampaignConfig
 from ..schemas.ids import closing_check
@@ -329,7 +330,8 @@ def _in_words(directory: Path) -> str:
     """Return what `perfbound run` prints of the first claim; names in it may be anybody's text."""
     run, found = Run(directory), files.read(directory)
     if found is None:
-        return f"{directory}: not finished, {len(run.rollouts)} rollouts so far; perfbound.resume continues it\n"
+        rollouts = counted(len(run.rollouts), "rollout")
+        return f"{directory}: not finished, {rollouts} so far; perfbound.resume continues it\n"
     console = Console(file=io.StringIO(), width=console_lines.WIDTH, force_terminal=False, color_system=None)
     with console.capture() as captured:
         text.first_claim(found, console, robustness_unit(run.header.config, run.header.spec))

@@ -27,6 +27,7 @@ from ..orchestrator.run.options import RunOptions, check_own, reopened
 from ..orchestrator.store import read
 from ..orchestrator.store.journal import Journal
 from ..orchestrator.store.rows import DATABASE
+from ..schemas.amounts import counted
 from ..schemas.batch import alone
 from ..schemas.errors import PerfboundError, RequestError, UnusableTrajectoryError, shortened
 from ..schemas.failure import Failure
@@ -304,7 +305,7 @@ class Study:
     def __repr__(self) -> str:
         """Return the directory, and the number of wanted rollouts."""
         now = self._open
-        state = "closed" if now is None else f"{len(now.wanted)} rollouts wanted"
+        state = "closed" if now is None else f"{counted(len(now.wanted), 'rollout')} wanted"
         return f"<Study in {self.directory}: {state}>"
 
 

@@ -94,10 +94,17 @@ def verify_certificate(
 
     """
     given, checks, certificate, reissued, header = VerificationInput.of(path), Checks(), None, None, None
+    at = ""
+
+    def reported(stage: str, done: int, total: int) -> None:
+        nonlocal at
+        at = f"{stage} at {done:,} of {total:,}"
+        report(stage, done, total)
+
     try:
         text = signed_text(given, key, checks)
         certificate = parsed(text, checks)
-        reissued, header = _evidence(given.directory, certificate, checks, Again(again, system), report)
+        reissued, header = _evidence(given.directory, certificate, checks, Again(again, system), reported)
         with checks.making("attempts"):
             if checks.found["database"].status == "passed":  # else its tables are another program's, or empty
                 check_attempts(given.directory, text, key, checks)
@@ -106,17 +113,19 @@ def verify_certificate(
     except CheckFailed as failed:
         checks.failed(failed.name, str(failed))
     except Stopped as stop:
-        raise Stopped(stop.signal, f"nothing is verified: {_so_far(checks)}") from None
+        raise Stopped(stop.signal, f"nothing is verified: {_so_far(checks, at)}") from None
     return Verification(checks, certificate, reissued, header)
 
 
-def _so_far(checks: Checks) -> str:
-    """Return which checks have been made, and which have not."""
+def _so_far(checks: Checks, at: str) -> str:
+    """Return which checks have been made and which have not, and how far the last stage was."""
     by_status: dict[str, list[str]] = {}
     for each in checks.lines():
         status = each.status if each.name in checks.found else "not reached"
         by_status.setdefault(status, []).append(each.name)
-    return "; ".join(f"{status} {', '.join(names)}" for status, names in by_status.items())
+    missed = by_status.pop("not reached", [])
+    parts = [f"{status} {', '.join(names)}" for status, names in by_status.items()]
+    return "; ".join([*parts, *filter(None, [at]), f"not reached {', '.join(missed) or 'none'}"])
 
 
 def _evidence(

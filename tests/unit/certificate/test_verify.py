@@ -741,15 +741,19 @@ def test_values_may_differ_in_their_last_digit(a: float, b: float, *, same: bool
 
 
 def test_an_interrupted_verification_says_what_it_has_checked(campaign: Path) -> None:
-    def stops(stage: str, *_: object) -> None:
-        if stage == "campaign":
+    def stops(stage: str, done: int, _: int) -> None:
+        if stage == "campaign" and done == 2:
             raise Stopped(2)
 
     with pytest.raises(Stopped) as stopped:
         verify_certificate(campaign, key=None, again=0, report=stops)
     passed = "certificate header manifest files"
+    number = len((campaign / "manifest.sha256").read_text().splitlines())
     missed = (
         "requests trajectories proposals observations stop evidence chain problems probabilities composition "
         "spot check recheck regions claims audit software database attempts resimulation"
     )
-    assert says(stopped.value.state, f"^nothing verified skipped signature passed {passed} not reached {missed}")
+    assert says(
+        stopped.value.state,
+        f"^nothing verified skipped signature passed {passed} campaign at 2 of {number} not reached {missed}",
+    )

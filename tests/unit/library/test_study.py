@@ -286,7 +286,7 @@ def test_a_run_that_is_not_finished_says_so(study: Study, tmp_path: Path) -> Non
     study.tell(asked(study), curve(asked(study)))
     run = pb.open(tmp_path / "run")
     assert not run.finished
-    assert "not finished, 1 rollouts so far" in repr(run)
+    assert "not finished, 1 rollout so far" in repr(run)
     with pytest.raises(PerfboundError, match="no certificate yet"):
         _ = run.certificate
     assert run.trajectory(0).columns == ("t", "y")

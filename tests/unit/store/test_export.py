@@ -624,9 +624,9 @@ def test_the_command_says_what_it_wrote(campaign: Path) -> None:
     assert result.exit_code == 0
     assert result.stdout.splitlines() == [
         f"{campaign / 'export' / 'tests.csv'}  {ROLLOUTS // 8} rows",
-        *(f"{campaign / 'export' / name}.csv  {ROLLOUTS} rows" for name in ("rollouts", "observations")),
+        *(f"{campaign / 'export' / name}.csv  {ROLLOUTS:,} rows" for name in ("rollouts", "observations")),
         *(f"{campaign / 'export' / name}.csv  0 rows" for name in EMPTY[:2]),
-        f"{campaign / 'export' / 'opinions'}.csv  1 rows",
+        f"{campaign / 'export' / 'opinions'}.csv  1 row",
         *(f"{campaign / 'export' / name}.csv  0 rows" for name in EMPTY[2:]),
     ]
 

@@ -23,6 +23,7 @@ from perfbound.orchestrator.report.collect.campaign import Collector
 from perfbound.orchestrator.report.collect.violations import ranked_tests, violating_starts
 from perfbound.orchestrator.store import facts as recorded_facts
 from perfbound.orchestrator.store import read
+from perfbound.orchestrator.store.export import table_rows
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.progress import read_progress
 from perfbound.orchestrator.store.robustness import read_number_of_rollouts, read_values, read_violations
@@ -217,6 +218,9 @@ def test_what_a_worker_recorded_is_counted_in_rollouts_and_not_in_batches(name: 
         assert {worker: rollouts for worker, rollouts, _ in read_progress(play.directory).workers} == expected
         rows = Collector(play.directory).refresh().workers
         assert {row.name: row.rollouts for row in rows} == expected
+        columns, exported = table_rows(play.directory, "rollouts")
+        place = [column.name for column in columns].index("worker")
+        assert Counter(row[place] for row in exported) == expected
 
 
 def test_a_verification_counts_rollouts_as_rollouts_and_files_as_files(tmp_path: Path) -> None:
