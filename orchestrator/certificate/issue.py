@@ -7,7 +7,7 @@ from pathlib import PurePosixPath
 
 from ...schemas.base import digest
 from ...schemas.file.bases import bases
-from ...schemas.ids import FileId, RolloutId
+from ...schemas.ids import FileId
 from ...schemas.result import certificate as document
 from ...schemas.result.facts import DiscardFact, Header
 from ..campaign.bounded_parts import bounded_accounts
@@ -132,10 +132,10 @@ def _shrunk(ledger: Ledger, parameters: Sequence[str]) -> document.Shrunk | None
     )
 
 
-def _listed(evidence: Manifest) -> list[RolloutId]:
+def _listed(evidence: Manifest) -> list[FileId]:
     paths = [PurePosixPath(line.split()[1]) for line in evidence.text.splitlines()]
     # A discarded one is in another folder.
-    return [FileId.parse(path.stem).rollout for path in paths if path.parts[0] == FOLDER and path.stem.count(".") > 2]
+    return [FileId.parse(path.stem) for path in paths if path.parts[0] == FOLDER and path.stem.count(".") > 2]
 
 
 def subject(manifest_sha256: str) -> document.Subject:

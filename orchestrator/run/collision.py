@@ -12,7 +12,7 @@ from ..fleet.children.simulate import simulate_to
 class PoisonedError(PerfboundError):
     """A rollout fails again and again."""
 
-    def __init__(self, text: str, request: RolloutRequest) -> None:
+    def __init__(self, text: str, request: RolloutRequest | None) -> None:
         super().__init__(text)
         self.request = request
 

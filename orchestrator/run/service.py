@@ -16,7 +16,7 @@ from typing import Protocol
 from ...schemas.batch import alone
 from ...schemas.errors import Stopped
 from ...schemas.file.config import CampaignConfig
-from ...schemas.ids import WorkId, closing_check, first_of
+from ...schemas.ids import WorkId, closing_check, first_of, rollouts_of
 from ...schemas.values import ProblemProgress
 from ..campaign.ledger import Ledger, Work
 from ..fleet.children.processes import Fleet
@@ -305,7 +305,7 @@ class Service:
             ends = self._fleet.ended if self._fleet is not None else {}
             request = alone(self._results.request(self._poisoned.rollout))
             text = poison_text(self._poisoned, request, self._ledger, self._journal.origin.system, ends)
-            raise PoisonedError(text, request)
+            raise PoisonedError(text, request if rollouts_of(self._poisoned.rollout) == 1 else None)
 
     def _print_line(self, line: str) -> None:
         for listener in self._listeners:

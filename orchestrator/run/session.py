@@ -163,7 +163,8 @@ def _conduct(
             directory, journal, transport, page, options=options, console=console, resumed=resumed
         )
     except PoisonedError as fault:
-        if _collides(fault.request, journal, options):
+        # Of a batch that fails as a whole nobody knows which rollout to repeat.
+        if fault.request is not None and _collides(fault.request, journal, options):
             raise PerfboundError(f"{fault}. {fault.request.rollout}: {COLLISION}") from None
         raise
     recheck = ledger.closing.recheck

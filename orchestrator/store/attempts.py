@@ -8,7 +8,7 @@ from typing import Any
 import sqlalchemy as sa
 
 from ...schemas.failure import Failure
-from ...schemas.ids import Attempt, RolloutId, WorkId, parse_work
+from ...schemas.ids import Attempt, FileId, RolloutId, WorkId, parse_work
 from ...schemas.result.facts import RECORDED
 from . import tables
 from .pending import PendingRows
@@ -82,15 +82,16 @@ class AttemptLog:
         return [parse_work(each) for each in found if each in recorded and each not in settled]
 
     def disputed(self) -> list[WorkId]:
-        """Return the rollouts and batches on which workers differ that are not outvoted, and nothing is decided."""
+        """Return the rollouts and batches on which workers differ of which none has been outvoted."""
         outvoted, seen, ended = set(self.outvoted()), tables.opinions.c, tables.outcomes.c
-        # Two that agree on a batch may differ in the rollouts that failed in it.
+        # Two that agree on a batch may differ in the rollouts that failed in it, and need no further decision.
         reviewed = self._rows.read(sa.select(seen.rollout).where(seen.kind == "reviewed"))
         recorded = self._rows.read(sa.select(ended.rollout).where(ended.outcome == RECORDED))
         decided = {name for (name,) in (*reviewed, *recorded)}
         digests: dict[WorkId, set[str]] = {}
         for each in self.compared():
-            if each.worker not in outvoted and str(each.attempt.rollout) not in decided:
+            of_batch = isinstance(each.attempt.rollout, FileId)
+            if each.worker not in outvoted and not (of_batch and str(each.attempt.rollout) in decided):
                 digests.setdefault(each.attempt.rollout, set()).add(each.sha256)
         return sorted((work for work, found in digests.items() if len(found) > 1), key=str)
 

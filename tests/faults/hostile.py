@@ -24,9 +24,10 @@ import numpy as np
 import zenoh
 
 from perfbound.schemas import __version__
+from perfbound.schemas.batch import BatchRequest, read_request
 from perfbound.schemas.link import key_expressions
 from perfbound.schemas.link.messages import PROTOCOL
-from perfbound.schemas.rollout import RolloutRequest
+from perfbound.schemas.trajectory.batch import Batch, encode_batch
 from perfbound.schemas.trajectory.trajectory import Trajectory, encode
 from tests.end_to_end.processes import query, under_way
 
@@ -138,11 +139,15 @@ class Peer:
         request = dict(self.chance.choice(list(self.requests)))
         attempt = request.pop("attempt")
         columns = tuple(column["name"] for column in self.system["columns"])
-        samples = np.zeros((1, len(columns)))
         units = {column["name"]: column["unit"] for column in self.system["columns"]}
-        asked = RolloutRequest.model_validate_json(json.dumps(request))
+        asked = read_request(json.dumps(request))
         plain = asked.model_dump(mode="json")
-        payload = encode(Trajectory(columns, samples), request=plain, metadata=asked.metadata, units=units)
+        if isinstance(asked, BatchRequest):
+            batch = Batch(columns, np.zeros(1), np.zeros((len(columns) - 1, len(asked), 1)))
+            payload = encode_batch(batch, request=plain, metadata=asked.metadata)
+        else:
+            samples = np.zeros((1, len(columns)))
+            payload = encode(Trajectory(columns, samples), request=plain, metadata=asked.metadata, units=units)
         owners = [worker for found, _, worker, _ in self.busy if found == asked.rollout]
         return self._end(asked.rollout, attempt, self.chance.choice([*owners, NAME]), payload, outcome="done")
 
@@ -162,7 +167,8 @@ class Peer:
             )
             if self.requests and self.chance.random() < 0.25:
                 request = dict(self.chance.choice(list(self.requests)))
-                message = {"type": "assign", "attempt": request.pop("attempt") + 1, "request": request}
+                kind = "assign_batch" if "seeds" in request else "assign"
+                message = {"type": kind, "attempt": request.pop("attempt") + 1, "request": request}
             self._put(key_expressions.request_key(self.run, worker), json.dumps(message).encode())
         return bool(self.busy)
 

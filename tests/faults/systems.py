@@ -17,6 +17,8 @@ OF_SYSTEM = ("raise", "refuse", "leave", "nan", "shape", "columns", "none")
 ODD = {
     "gap": ("nan", "short", "late", "columns", "raise", "grid"),
     "brief": ("nan", "huge", "late", "columns", "raise"),
+    # Other times fail a batch as a whole, with one reason, and two in a row are poison; a clip hides huge numbers.
+    "batches": ("nan", "late", "columns", "raise", "refuse"),
 }
 """Trajectories, by campaign, on which its objectives cannot be computed; and a failure of the ordinary kind."""
 OF_INFRASTRUCTURE = tuple(kind for kind in BEFORE if kind not in (*OF_SYSTEM, "lack"))
@@ -37,7 +39,7 @@ def fail_once(scene: Scene) -> None:
 def odd_result(scene: Scene) -> None:
     """In some rollouts the system returns huge numbers, a part, or other times, once; later it succeeds."""
     scene.irreproducible = True
-    _misbehave(scene, ODD[scene.subject.name], alike=False)
+    _misbehave(scene, ODD["batches" if scene.subject.batch > 1 else scene.subject.name], alike=False)
 
 
 def big_result(scene: Scene) -> None:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Sequence
 
-from ....schemas.ids import RolloutId
+from ....schemas.ids import FileId
 from ....schemas.result.certificate import Assumption, Predicate
 from ....schemas.result.facts import Header
 from ...campaign.seeds import is_chosen
@@ -17,10 +17,11 @@ MOST_NAMED = 20
 """Rollouts in the sentence."""
 
 
-def workers_honest(header: Header, evidence: Iterable[RolloutId], contradicted: Sequence[str]) -> Assumption | None:
-    """Return the assumption for the rollouts behind a certificate; None for a campaign without second opinions.
+def workers_honest(header: Header, evidence: Iterable[FileId], contradicted: Sequence[str]) -> Assumption | None:
+    """Return the assumption for the files behind a certificate; None for a campaign without second opinions.
 
-    A chosen rollout is recorded only once two results agree, so all of those in the evidence were compared and agree.
+    A chosen rollout or batch is recorded only once two results agree, so all of those in the evidence were compared and
+    agree.
     """
     if not header.config.second_opinion:
         return None
@@ -28,15 +29,31 @@ def workers_honest(header: Header, evidence: Iterable[RolloutId], contradicted: 
         named = ", ".join(contradicted[:MOST_NAMED])
         more = f", and {len(contradicted) - MOST_NAMED} more" if len(contradicted) > MOST_NAMED else ""
         return assumption(NAME, "refuted", {"count": len(contradicted), "rollouts": named + more}, form="outvoted")
-    compared = sum(is_chosen(header, rollout) for rollout in evidence)
+    files = list(evidence)
+    compared = sum(is_chosen(header, file.rollout) for file in files)
     share = unseen_share(compared, UNSEEN) if compared else 1.0
+    in_batches = any(file.places for file in files)
+    if in_batches:
+        share = _share_of_rollouts(share, [max(file.places, 1) for file in files])
     values = {
         "chosen": 100 * header.config.second_opinion,
         "compared": compared,
         "agreed": compared,
         "percent": math.ceil(1000 * share) / 10,
     }
-    return assumption(NAME, "not refuted" if compared else "assumed", values, form="second_opinion")
+    form = "second_opinion_in_batches" if in_batches else "second_opinion"
+    return assumption(NAME, "not refuted" if compared else "assumed", values, form=form)
+
+
+def _share_of_rollouts(share: float, sizes: Sequence[int]) -> float:
+    """Return the share of rollouts in so large a share of files at most: drawn are files, and the largest may be false.
+
+    >>> _share_of_rollouts(0.5, [8, 8, 1, 1]), _share_of_rollouts(0.25, [1, 1])
+    (0.8888888888888888, 0.25)
+    """
+    whole, part = divmod(share * len(sizes), 1.0)
+    ordered = [*sorted(sizes, reverse=True), 0]
+    return (sum(ordered[: int(whole)]) + part * ordered[int(whole)]) / sum(sizes)
 
 
 def admitted_rollouts(found: Predicate) -> list[str]:

@@ -387,6 +387,14 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "assumed": "{chosen} % of the rollouts should have been simulated twice, but the draw chose {compared}: the "
         "trajectories that the workers send are assumed to come from the simulator.",
     },
+    "second_opinion_in_batches": {
+        "not refuted": "{chosen} % of the batches, and of the rollouts in none, drawn from the seed, were simulated "
+        "twice, by two workers where there were two: {compared} were compared and {agreed} agree bit by bit; up to "
+        "{percent} % of all rollouts could be false unseen (confidence .95), if no two results are false alike, be "
+        "they of two workers or of one that was alone, and no worker knows which are compared.",
+        "assumed": "{chosen} % of the batches should have been simulated twice, but the draw chose {compared}: the "
+        "trajectories that the workers send are assumed to come from the simulator.",
+    },
     "outvoted": {
         "refuted": "a worker was outvoted by two others, and {count} of the rollouts that it had recorded had another "
         "trajectory when they were simulated again: {rollouts}.",

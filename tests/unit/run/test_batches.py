@@ -18,6 +18,7 @@ from perfbound.orchestrator.certificate.verify.run import verify_certificate
 from perfbound.orchestrator.fleet.dispatch.limits import Limits
 from perfbound.orchestrator.fleet.dispatch.opinions import PARTLY
 from perfbound.orchestrator.run import service
+from perfbound.orchestrator.run.collision import PoisonedError
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.export import table_rows
 from perfbound.orchestrator.store.rows import DATABASE, work_name
@@ -208,6 +209,20 @@ def test_a_first_batch_that_fails_in_part_and_not_in_its_repetition_is_a_failure
     assert equal_but_for_the_seeds(found, calm)
 
 
+def test_a_batch_that_fails_as_a_whole_ends_the_campaign_and_no_rollout_is_blamed(tmp_path: Path) -> None:
+    class Failing(AlteringUplink):
+        def deliver(self, header: ResultHeader, payload: bytes) -> None:
+            failed = {"outcome": "failed", "sha256": "", "error": "no licence", "kind": "system"}
+            super().deliver(header.model_copy(update=failed), b"")
+
+    directory = tmp_path / "run"
+    begin(directory, a_config())
+    refused = pytest.raises(PoisonedError, match=r"^batch robustness\.\d+\.true\.0\.\d+ failed 2 times")
+    with Network() as network, working(network, run_of(directory), [Failing, Failing]), refused as error:
+        serve(directory, network, Log())
+    assert error.value.request is None
+
+
 # Second opinions
 
 
@@ -221,9 +236,12 @@ def test_failures_in_the_batches_of_one_worker_outvote_nobody(tmp_path: Path, ca
         found = serve(directory, network, log)
     check(directory)
     assert query(directory, "SELECT * FROM opinions WHERE kind = 'outvoted'") == []
-    assert assumption(found, "workers_honest")["status"] == "not refuted"
-    told = assumption(found, REPRODUCIBLE)
-    assert told["status"] == "refuted"
+    honest = assumption(found, "workers_honest")
+    files = query(directory, "SELECT * FROM rollouts")
+    assert (honest["status"], honest["values"]["compared"]) == ("not refuted", len(files))
+    # One batch in four has a third of the rollouts.
+    assert honest["values"]["percent"] > 100 * (1 - 0.05 ** (1 / len(files)))
+    assert assumption(found, REPRODUCIBLE)["status"] == "refuted"
     assert not [line for line in log.lines if "for good" in line]
     assert calm
     assert {reason for (reason,) in query(directory, "SELECT outcome FROM outcomes WHERE kind = 'system'")} <= {
