@@ -36,6 +36,10 @@ class FactStore(Protocol):
         """Return a recorded rollout; inside `transaction`."""
         ...
 
+    def batch_of(self, rollout: RolloutId) -> BatchFact | None:
+        """Return the batch of a recorded rollout; None for one without; inside `transaction`."""
+        ...
+
     def proposal(self, problem: str, test: int) -> ProposalFact:
         """Return the proposal of a test that has one; inside `transaction`."""
         ...
@@ -132,10 +136,12 @@ class Recorded:
 
     def within(self, rollout: RolloutId) -> WithinBatch | None:
         """Return the batch that has to be repeated to repeat a rollout; None for one that repeats alone."""
-        if not self._store.header.spec.batch_is_the_unit:
+        fact = self._store.batch_of(rollout) if self._store.header.spec.batch_is_the_unit else None
+        if fact is None:
             return None
-        fact = self._store.rollout(rollout)
-        return self._batch_file(fact).within(rollout) if fact.batch else None
+        # Not from its file: that of the last batch is in its place at the end of the transaction.
+        starts = [self.start(rollout._replace(test=test)) for test in fact.tests]
+        return WithinBatch(x=tuple(starts), seeds=tuple(fact.seeds.tolist()), place=fact.rollouts.index(rollout))
 
     def _batch_file(self, fact: RolloutFact) -> BatchFile[Batch] | BatchFile[Reduced]:
         if self._file is None or self._file[0] != fact.batch:

@@ -15,7 +15,8 @@ from ...schemas.ids import Attempt, WorkId, first_of
 from ...schemas.result.block_facts import BatchFact
 from ...schemas.result.facts import RolloutFact
 from ...schemas.rollout import RolloutRequest
-from ...schemas.trajectory.batch import read_batch, with_failures
+from ...schemas.trajectory.batch import read_batch
+from ...schemas.trajectory.reduced import read_stored
 from ..campaign.ledger import Ledger
 from ..campaign.seeds import is_chosen
 from ..fleet.dispatch.opinions import PARTLY
@@ -72,9 +73,8 @@ class Review:
     def _same(self, fact: RolloutFact | BatchFact, attempt: Attempt, worker: str, payload: bytes) -> bool:
         """Whether a batch and the recorded one differ in failures alone."""
         kept = read_evidence(self._journal.directory, fact.path, fact.sha256)
-        before, now = read_batch(kept).batch, read_batch(payload).batch
+        before, now = read_stored(kept).batch, read_batch(payload).batch
         if now.failures.keys() - before.failures.keys():
             # As a rollout alone that fails in its review: a failure of the system, and no contradiction.
             self._journal.attempts.ended(attempt, worker, PARTLY)
-        failed = {**before.failures, **now.failures}
-        return len(failed) == len(before) or with_failures(kept, failed) == with_failures(payload, failed)
+        return all(one == other for one, other in zip(before.digests, now.digests, strict=True) if one and other)

@@ -154,10 +154,9 @@ _TRIED = _NAME[0] + "." + _NAME[1] + "." + _NAME[2] + "." + _NAME[3] + _PLACES
 """What attempts call the rollout or the batch."""
 _ATTEMPTS = sa.select(sa.func.count()).where(_tried.rollout == _TRIED).correlate(tables.rollouts).scalar_subquery()
 _earlier = tables.outcomes.alias()
-# After a discard there are two recorded attempts, and the present row is of the last one. A batch shares its name with
-# the retry of its first rollout, which is a row of its own.
-_PRESENT = (
-    sa.select(sa.case((_r.places > 1, sa.func.min(_earlier.c.attempt)), else_=sa.func.max(_earlier.c.attempt)))
+# After a discard there are two recorded attempts, and the present row is of the last one.
+_LAST = (
+    sa.select(sa.func.max(_earlier.c.attempt))
     .where(_earlier.c.rollout == _TRIED, _earlier.c.outcome == RECORDED)
     .correlate(tables.rollouts)
     .scalar_subquery()
@@ -171,8 +170,7 @@ _ROLLOUTS = (
     )
     .join(tables.tests, (_proposed.problem == _r.problem) & (_proposed.test == _r.block))
     .outerjoin(
-        tables.outcomes,
-        (_outcome.rollout == _TRIED) & (_outcome.outcome == RECORDED) & (_outcome.attempt == _PRESENT),
+        tables.outcomes, (_outcome.rollout == _TRIED) & (_outcome.outcome == RECORDED) & (_outcome.attempt == _LAST)
     )
     .order_by(_r.seq)
 )

@@ -158,6 +158,14 @@ class Journal:
 
     def rollout(self, rollout: RolloutId) -> RolloutFact:
         """Return a recorded rollout; inside or outside a transaction."""
+        return next(each for each in each_rollout(self._stored(rollout)) if each.rollout == rollout)
+
+    def batch_of(self, rollout: RolloutId) -> BatchFact | None:
+        """Return the batch of a recorded rollout; None for one without; inside or outside a transaction."""
+        found = self._stored(rollout)
+        return found if isinstance(found, BatchFact) else None
+
+    def _stored(self, rollout: RolloutId) -> RolloutFact | BatchFact:
         columns, (problem, test, variant, replicate) = tables.rollouts.c, rollout
         first, places = columns.test, columns.places
         tests = (first <= test, first > test - places, first > test - LARGEST_BATCH)
@@ -166,7 +174,7 @@ class Journal:
         query = sa.select(tables.rollouts).where(*same, *tests, *numbers)
         found = (rollout_fact(row) for row in self._rows.read(query.order_by(places)))
         # The batch in which it failed may have it as well.
-        return next(fact for each in found for fact in each_rollout(each) if fact.rollout == rollout)
+        return next(each for each in found if any(fact.rollout == rollout for fact in each_rollout(each)))
 
     def file(self, path: str) -> RolloutFact | BatchFact | None:
         """Return what is recorded in a file; None for nothing; inside or outside a transaction."""

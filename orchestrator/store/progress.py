@@ -46,15 +46,17 @@ _EXTENSIONS = "SELECT seq, number, budgets FROM extensions ORDER BY seq"
 _WORKERS = "SELECT worker, count(*), max(ended) FROM outcomes WHERE outcome = ? GROUP BY worker ORDER BY worker"
 ROLLOUTS_OF_WORKERS = """
     SELECT worker, sum(rollouts) FROM (
-        SELECT worker, rollouts, max(CASE WHEN places > 1 THEN -attempt ELSE attempt END)
+        SELECT worker, rollouts, max(attempt)
         FROM rollouts CROSS JOIN outcomes WHERE seq > :since AND outcome = :recorded
-        AND rollout = problem || '.' || test || '.' || variant || '.' || replicate GROUP BY seq
+        AND rollout = problem || '.' || test || '.' || variant || '.' || replicate
+            || CASE WHEN seeds IS NULL THEN '' ELSE '.' || places END
+        GROUP BY seq
     ) GROUP BY worker
 """
 """The rollouts that each worker has recorded, in rows after a sequence number.
 
-A batch and the retry of its first rollout have one name, and the retry has the later attempt; what was recorded again
-after a discard is of the last one. The worker beside max(...) is that of its row: an extension of SQLite.
+Attempts at a batch have the name of its file. What was recorded again after a discard is of the last one. The worker
+beside max(...) is that of its row: an extension of SQLite.
 """
 _FAILURES = "SELECT count(*) FROM outcomes WHERE outcome NOT IN (?, ?, ?)"
 _HANDED_BACK = "SELECT count(*) FROM outcomes WHERE outcome = ?"

@@ -26,7 +26,6 @@ from ..errors import TrajectoryError, UnusableTrajectoryError, shortened
 from ..ids import RolloutId
 from ..instants import disorder
 from ..ranges import LARGEST_BATCH
-from ..rollout import WithinBatch
 from .canonical import EVIDENCE, FAILURES, OF_BATCH, REQUEST, TIME, canonical_evidence, canonical_file
 from .file_checks import check_checksums, check_length, check_sizes
 from .npy import from_npy, to_npy
@@ -153,10 +152,6 @@ class BatchFile(NamedTuple, Generic[Content]):
     def place(self, rollout: RolloutId) -> int:
         """Return the place of a rollout in the batch; raises ValueError if it is not there."""
         return self.requested.rollouts.index(rollout)
-
-    def within(self, rollout: RolloutId) -> WithinBatch:
-        """Return the batch for a request that repeats it for one of its rollouts; raises as `place`."""
-        return self.requested.within(self.place(rollout))
 
     def alone(self, rollout: RolloutId) -> File:
         """Return one rollout with the request and the metadata that its own file would have.

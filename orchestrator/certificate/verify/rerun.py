@@ -76,6 +76,10 @@ class MemoryFactStore:
             return self._rollouts[rollout]
         return next(each for each in self._batched[rollout].each() if each.rollout == rollout)
 
+    def batch_of(self, rollout: RolloutId) -> BatchFact | None:
+        """Return the batch of a recorded rollout; None for one without."""
+        return None if rollout in self._rollouts else self._batched[rollout]
+
     def proposal(self, problem: str, test: int) -> ProposalFact:
         """Return the proposal of a test that has one."""
         found = self._proposals.get((problem, test))

@@ -130,3 +130,29 @@ def test_where_the_batch_is_the_unit_a_failed_rollout_is_that_of_its_batch(start
     assert ended.code != 0
     assert "the whole batch failed with a = 0.999" in ended.err
     assert recorded(tmp_path / "run") % 32 == 0
+
+
+def test_the_worst_alone_keep_their_samples(started: Processes, tmp_path: Path) -> None:
+    """Neither workers nor a kill decide which; what is gone can be simulated again."""
+    campaign = write(tmp_path)
+    campaign.write_text('keep = "worst 30"\n' + CAMPAIGN)
+    assert started.run("perfbound", "run", campaign, "--out", "calm", "--workers", "3").code == 0
+    directory = tmp_path / "killed"
+    first = started.start("perfbound", "run", campaign, "--out", directory, "--workers", "1")
+    wait_for(lambda: recorded(directory) >= 1000)
+    first.popen.kill()
+    first.wait()
+    assert started.run("perfbound", "resume", directory).code == 0
+    certificate = (tmp_path / "calm" / "certificate.json").read_bytes()
+    assert (directory / "certificate.json").read_bytes() == certificate
+    for path in (directory / "trajectories").rglob("*.mcap"):
+        assert path.read_bytes() == (tmp_path / "calm" / path.relative_to(directory)).read_bytes()
+    given = ("--system", tmp_path / "drift.py:drift")
+    checked = started.run("perfbound", "verify", "calm", "--resimulate", "40", *given)
+    assert checked.code == 0, checked.out + checked.err
+    assert "40 of 208 files, bitwise the same" in checked.out
+    # The last blocks were proposed when many were closed.
+    ended = started.run("perfbound", "replay", "calm", "robustness.5999.nominal.0", "--mcap", "a.mcap", *given)
+    assert ended.code == 0, ended.out + ended.err
+    assert "its samples were not kept" in ended.out
+    assert "the trajectory is bitwise the same as the recorded one" in ended.out

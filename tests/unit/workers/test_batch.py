@@ -175,8 +175,8 @@ def test_a_function_may_change_its_arguments() -> None:
 def test_a_rollout_within_its_batch_is_simulated_with_all_of_it() -> None:
     request = batch_request(summed.spec, STARTS, replicates=2)
     file = read_batch(run_batch_on(summed, request, lambda _: None))
-    for place, rollout in enumerate(request.rollouts):
-        again = request.single(place).model_copy(update={"within": file.within(rollout)})
+    for place in range(len(request)):
+        again = request.single(place).model_copy(update={"within": request.within(place)})
         found = decode(run_request_on(summed, again, lambda _: None))
         assert np.array_equal(file.batch.trajectory(place).samples, found.samples)
         alone = decode(run_request_on(summed, request.single(place), lambda _: None))

@@ -27,7 +27,7 @@ from perfbound.orchestrator.store.export import table_rows
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.progress import read_progress
 from perfbound.orchestrator.store.robustness import read_number_of_rollouts, read_values, read_violations
-from perfbound.schemas.batch import BatchRequest
+from perfbound.schemas.batch import BatchRequest, work_of
 from perfbound.schemas.errors import JournalError
 from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.ids import Attempt, FileId
@@ -90,10 +90,11 @@ class Play:
             before = read_number_of_rollouts(self.directory)
             worker = f"worker-{most % 2}"
             payload, found, sha256 = self._simulated(self.ledger, rollout)
-            self._attempts[str(rollout)] += 1
+            work_id = work_of(self.ledger.request(rollout))
+            self._attempts[str(work_id)] += 1
             with self.ledger.transaction():
                 work = self.ledger.record(rollout, payload, found, sha256)
-                self.journal.attempts.ended(Attempt(rollout, self._attempts[str(rollout)]), worker, RECORDED)
+                self.journal.attempts.ended(Attempt(work_id, self._attempts[str(work_id)]), worker, RECORDED)
             self.of_workers[worker] += read_number_of_rollouts(self.directory) - before
             wanted = [each for each in [*wanted, *work.wanted] if each not in work.unwanted]
             most -= 1

@@ -217,7 +217,7 @@ def test_a_worker_cannot_send_a_reduced_batch(tmp_path: Path) -> None:
             ledger.record(rollout, payload, found, sha256)
         (fact, batch), *_ = batches(play)
         sent = (tmp_path / "run" / fact.path).read_bytes()
-        request = next(each for each in play.requests if each.rollout == str(fact.rollout))
+        request = next(each for each in play.requests if each.rollouts[0] == fact.rollout)
         with pytest.raises(EvidenceError, match="not a batch of trajectories"):
             admit_batch(request, batch.columns, sent, fact.sha256)
 
