@@ -110,6 +110,8 @@ class Ledger:
         self._requests: dict[RolloutId, RolloutRequest | BatchRequest] = {}
         self.arrived = 0
         """Rollouts with a trajectory that `record` has taken; a replay has none."""
+        self.received = 0
+        """Bytes of their files, as workers sent them."""
 
     @property
     def done(self) -> bool:
@@ -221,6 +223,7 @@ class Ledger:
         request = self.request(rollout)
         del self._requests[rollout]
         self.arrived += found.rollouts if isinstance(found, Scored) else 1
+        self.received += len(payload)
         if rollout in self._restoration:
             # No fact: it has been recorded. The campaign continues when the last damaged file is back.
             self._restoration.restore(rollout, payload, self._files)

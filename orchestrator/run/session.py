@@ -208,8 +208,8 @@ def _served(
         # The numerics take seconds to load: only now, while the workers start.
         from ..campaign.ledger import Ledger  # noqa: PLC0415
         from .display.progress import SystemdStatus, listener  # noqa: PLC0415
-        from .display.so_far import Contradictions, SoFarListener  # noqa: PLC0415
-        from .service import Interrupted, Service, StopRequests  # noqa: PLC0415
+        from .display.so_far import Contradictions, EvidenceSize, SoFarListener  # noqa: PLC0415
+        from .service import Interrupted, Listener, Service, StopRequests  # noqa: PLC0415
 
         ledger = Ledger(directory, journal)
         ledger.replay()
@@ -228,7 +228,9 @@ def _served(
             contradictions = Contradictions(ledger.accounts, ledger.methods, terminal.print_line)
             requests = StopRequests(directory, terminal.print_line)
             so_far = SoFarListener(directory, ledger, terminal)
-            listeners = (so_far, terminal, SystemdStatus(systemd), page, contradictions, requests)
+            listeners: list[Listener] = [so_far, terminal, SystemdStatus(systemd), page, contradictions, requests]
+            if not resumed:
+                listeners.append(EvidenceSize(ledger, terminal.print_line))
             service = Service(ledger, journal, transport, fleet, listeners, resumed=resumed, drain=options.drain)
             requests.put = service.inbox.put
             stack.enter_context(_signals(lambda number: service.inbox.put(Interrupted(number))))

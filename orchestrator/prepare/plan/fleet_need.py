@@ -128,6 +128,8 @@ class ProblemSize:
     """Rollouts of an assignment."""
     work: float = 1.0
     """Of the orchestrator for a rollout, in times of that for a result of one."""
+    stored: float = 1.0
+    """Share of the bytes of its trajectories that stays on the disk."""
 
     @property
     def rollouts(self) -> Guess:
@@ -219,11 +221,8 @@ def fleet_plan(
     rollouts = _added([each.rollouts for each in (*problems, *checks)])
     load = orchestrator_load(workers, pilot, problems, hung_after)
     blocks = _added([_per_assignment(each) for each in (*problems, *checks)])
-    files = Guess(
-        rollouts.middle * pilot.size + blocks.middle * BLOCK / 2,
-        rollouts.low * pilot.size * 0.8,
-        rollouts.high * pilot.size * 1.25 + blocks.high * BLOCK,
-    )
+    stored = _added([_times(each.rollouts, each.stored * pilot.size) for each in (*problems, *checks)])
+    files = Guess(stored.middle + blocks.middle * BLOCK / 2, stored.low * 0.8, stored.high * 1.25 + blocks.high * BLOCK)
     rate = min(load.results_per_second, load.most_results)
     return FleetPlan(
         workers=workers,
@@ -245,6 +244,10 @@ def fleet_plan(
         network=rate * (pilot.size + 2 * MESSAGE) + MESSAGE * load.heartbeats_per_second,
         load=load,
     )
+
+
+def _times(number: Guess, factor: float) -> Guess:
+    return Guess(number.middle * factor, number.low * factor, number.high * factor)
 
 
 def second_opinions(workers: int, rollouts: Guess, share: float) -> Guess:

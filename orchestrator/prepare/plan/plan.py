@@ -28,6 +28,7 @@ from ...campaign.seeds import drawn
 from ...campaign.starts import Draws
 from ...certificate.words.format import duration
 from ...fleet.children.child import system_spec
+from ...forecast.evidence import evidence_bytes
 from ...mathematics.bounds.cost import MethodSize
 from ...mathematics.gp.points import point_at
 from ..calibrate.design import calibration_seed
@@ -132,7 +133,10 @@ def _in_batches(header: Header, size: ProblemSize, batch: int, file_bytes: float
     machine = plan.machine
     tests = min(machine.block, machine.max_tests)
     each = max(1, tests * len(plan.rollouts) // max(1, len(machine.batches(0))))
-    found = replace(size, window=machine.window * tests, batch=each, work=batch_work(each, file_bytes))
+    rollouts = max(1.0, size.rollouts.middle)
+    stored = evidence_bytes(config, plan, rollouts, file_bytes) / (rollouts * max(1.0, file_bytes))
+    work = batch_work(each, file_bytes)
+    found = replace(size, window=machine.window * tests, batch=each, work=work, stored=stored)
     # What blocks cost besides their plan is in `BATCHED_LOAD`, and not what was rehearsed test by test.
     return found if machine.block == 1 else replace(found, thinking=_planning(header, plan))
 

@@ -7,7 +7,9 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
+from ....schemas.amounts import amount
 from ....schemas.errors import one_line
+from ....schemas.file.config import CampaignConfig
 from ....schemas.result.certificate import Assumption
 from ....schemas.result.known import Expected, SoFar, Violations
 from ...campaign import consistency
@@ -16,10 +18,12 @@ from ...campaign.closing.recheck import Recheck
 from ...campaign.closing.spot_check import spot_check_plan
 from ...campaign.ledger import Ledger
 from ...campaign.methods import Methods
+from ...campaign.plan import Plans
 from ...campaign.series import Account
 from ...certificate.so_far import AuditSoFar, Holding, claims_nothing_yet
 from ...certificate.words.bound_text import parameter_units, with_named_start
 from ...forecast.campaign_end import RolloutCounts, expected, expected_verdict
+from ...forecast.evidence import evidence_bytes
 from ...store import read
 from ...store.export_tables import robustness_unit
 from ...store.robustness import read_values, read_violations
@@ -246,3 +250,32 @@ class Contradictions:
             if (name, key) not in self._printed:
                 self._printed.add((name, key))
                 self._print_line(line)
+
+
+class EvidenceSize:
+    """A listener that prints once how many bytes the trajectory files will take, when the first rollouts are there."""
+
+    def __init__(self, ledger: Ledger, print_line: Callable[[str], None]) -> None:
+        self._ledger, self._print_line = ledger, print_line
+        self._printed = False
+
+    def print_line(self, line: str) -> None:
+        """Drop the line: another listener prints it."""
+
+    def show(self, status: RunStatus) -> None:  # noqa: ARG002
+        """Print the line, once something has arrived."""
+        if self._ledger.arrived and not self._printed:
+            self._printed = True
+            self._print_line(size_of_evidence(self._ledger.config, self._ledger.plans, self._size))
+
+    @property
+    def _size(self) -> float:
+        return self._ledger.received / self._ledger.arrived
+
+
+def size_of_evidence(config: CampaignConfig, plans: Plans, size: float) -> str:
+    """Return the line on the files of a campaign that spends its budget, a rollout's trajectory having `size` bytes."""
+    counts = [(plan, plan.machine.count(plan.budget)) for plan in plans.values()]
+    total = sum(evidence_bytes(config, plan, count, size) for plan, count in counts)
+    beside = {"all": "", "failures": ", beside the failures"}.get(config.keep, f', with keep = "{config.keep}"')
+    return f"evidence: {amount(size)} a rollout, at most about {amount(total)} in all{beside}"

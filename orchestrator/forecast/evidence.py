@@ -1,0 +1,32 @@
+"""How many bytes the trajectory files of a campaign take, from those of one rollout.
+
+With `keep = "worst N"` a rollout keeps its samples if fewer than N of those before it are as bad: of n rollouts in
+random order about N (1 + ln(n / N)) do. Those of the first blocks are proposed before any is closed, and keep N each.
+"""
+
+import math
+
+from ...schemas.file.config import CampaignConfig
+from ..campaign.plan import ProblemPlan
+
+REDUCED, COORDINATE = 75, 18
+"""Bytes of a rollout without its samples, and for each number of its start, in the file of a batch of 256."""
+
+
+def evidence_bytes(config: CampaignConfig, plan: ProblemPlan, rollouts: float, size: float) -> float:
+    """Return the bytes of the files of so many rollouts of a problem, whose own file has `size` bytes.
+
+    With `keep = "failures"` those of the failures are left out, since nobody knows their number.
+    """
+    kept = kept_rollouts(config, plan, rollouts)
+    return kept * size + (rollouts - kept) * min(size, REDUCED + COORDINATE * len(plan.parameters))
+
+
+def kept_rollouts(config: CampaignConfig, plan: ProblemPlan, rollouts: float) -> float:
+    """Return about how many of a problem's rollouts keep their samples, failures left out."""
+    if config.keep in ("all", "failures"):
+        return rollouts if config.keep == "all" else 0.0
+    most, machine = int(config.keep.removeprefix("worst ")), plan.machine
+    first = max(1.0, min(rollouts, machine.window * machine.block * len(plan.rollouts)))
+    share = min(1.0, most / config.batch)
+    return min(rollouts, max(first * share, min(first, most)) + most * math.log(max(1.0, rollouts / max(first, most))))
