@@ -235,9 +235,9 @@ class Ledger:
         if isinstance(found, Scored):
             assert isinstance(request, BatchRequest)
             block = state.plan_of(self.state, rollout.problem).batch_of(rollout)[0].test
-            if (reduced := self._reduced(rollout, block, found)) is not None:
-                payload = encode_reduced(reduced, request=request.model_dump(mode="json"), metadata=request.metadata)
-                sha256, found = hashlib.sha256(payload).hexdigest(), replace(found, batch=reduced)
+            if (left := _reduced(self.accounts[rollout.problem].kept, rollout, block, found)) is not None:
+                payload = encode_reduced(left, request=request.model_dump(mode="json"), metadata=request.metadata)
+                sha256, found = hashlib.sha256(payload).hexdigest(), replace(found, batch=left)
             fact: RolloutFact | BatchFact = _batch_fact(rollout, block, request, found, (sha256, len(payload), path))
         else:
             assert isinstance(request, RolloutRequest)
@@ -251,25 +251,6 @@ class Ledger:
             assert isinstance(fact, BatchFact)
             self.recorded.keep_batch(fact, found.batch)
         return self._advance(self._write(fact))
-
-    def _reduced(self, rollout: RolloutId, block: int, found: Scored) -> Reduced | None:
-        """Return a batch as the key `keep` leaves it; None for one that stays whole.
-
-        Raises:
-            EvidenceError: it comes reduced, and otherwise.
-
-        """
-        margins = found.scores.robustness
-        kept = None if margins is None else self.accounts[rollout.problem].kept.places(block, margins)
-        if isinstance(found.batch, Reduced):
-            if kept is None or found.batch.kept != tuple(kept):
-                raise EvidenceError(f"the batch of {rollout} has the samples of other rollouts than `keep` leaves")
-            return found.batch
-        if kept is None:
-            return None
-        assert margins is not None
-        leaves = Scores(margins, found.scores.by_tolerance, found.scores.ended)
-        return reduced(found.batch, kept, leaves, found.scores.failures)
 
     def _of(self, rollout: RolloutId) -> ProblemDecisions:
         return self._problems[rollout.problem]
@@ -373,6 +354,25 @@ class Ledger:
         self.series[check.name], self.deciders[check.name] = series, check
         self.state, actions = state.with_series(self.state, check.plan)
         return actions
+
+
+def _reduced(kept: Kept, rollout: RolloutId, block: int, found: Scored) -> Reduced | None:
+    """Return a batch as the key `keep` leaves it; None for one that stays whole.
+
+    Raises:
+        EvidenceError: it comes reduced, and otherwise.
+
+    """
+    margins = found.scores.robustness
+    places = None if margins is None else kept.places(block, margins)
+    if isinstance(found.batch, Reduced):
+        if places is None or found.batch.kept != tuple(places):
+            raise EvidenceError(f"the batch of {rollout} has the samples of other rollouts than `keep` leaves")
+        return found.batch
+    if margins is None or places is None:
+        return None
+    leaves = Scores(margins, found.scores.by_tolerance, found.scores.ended)
+    return reduced(found.batch, places, leaves, found.scores.failures)
 
 
 def _batch_fact(

@@ -519,7 +519,7 @@ STATEMENTS = {
     "replicate_spread": "repeated rollouts vary no more than R allows",
     "reproducible_rollouts": "a rollout follows from its seed",
     "rkhs_norm": "the norm bound B is large enough for this kernel and prior mean",
-    "scores_as_computed": "the robustness of rollouts without samples is the one that was computed",
+    "scores_as_computed": "the robustness of rollouts without samples is as it was computed",
     "sampled_at_sample_times": "nothing worse happens between two sample times",
     "sigma": "the theorem covers the width of this band",
     "simulator_is_the_system": "the real system behaves like the simulator",
