@@ -228,7 +228,10 @@ def _campaign(rerun: Rerun, text: str, files_read: int, certificate: Certificate
     checks.passed("trajectories", counted(files_read, "file"))
     ties = f", {rerun.ties:,} of them one of several within 1e-9" if rerun.ties else ""
     checks.passed("proposals", f"{counted(tests, 'test')}{ties}")
-    checks.passed("observations", counted(tests, "test"))
+    problems = rerun.ledger.accounts.values()
+    bare = sum(sum(each.counts.values()) - each.kept.number for each in problems)
+    taken = f"; the robustness of {counted(bare, 'rollout')} without samples is taken as recorded" if bare else ""
+    checks.passed("observations", f"{counted(tests, 'test')}{taken}")
     checks.passed("stop", ends)
     checks.judge("evidence", _complete(rerun, text, certificate), counted(count, "rollout"))
 

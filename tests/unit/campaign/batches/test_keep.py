@@ -126,6 +126,8 @@ def test_the_certificate_says_what_is_left(tmp_path: Path) -> None:
         kept = play.ledger.accounts["robustness"].kept.number
     assert found["scores_as_computed"].values == {"keep": "worst 5", "kept": kept, "reduced": 200 - kept}
     assert "recomputed from those whose samples were kept" in found["workers_honest"].detail
+    said = checked(tmp_path / "run").found["observations"].detail
+    assert said == f"200 tests; the robustness of {200 - kept} rollouts without samples is taken as recorded"
 
 
 @pytest.mark.parametrize("failing", [none, some])
