@@ -206,11 +206,11 @@ def _check_scores(ledger: Ledger, request: BatchRequest, batch: Reduced) -> None
     found = scores_of_batch(ledger.observer, request, samples)
     scores = batch.scores
     recorded = BatchScores(scores.robustness[places], scores.by_tolerance[places], scores.ended[places], {})
-    if (place := differing(found, recorded)) is not None:
+    if (place := _differing(found, recorded)) is not None:
         raise UnusableTrajectoryError(f"rollout {places[place]} has other scores than its samples give")
 
 
-def differing(one: BatchScores, other: BatchScores) -> int | None:
+def _differing(one: BatchScores, other: BatchScores) -> int | None:
     """Return the first rollout whose scores differ in two batches; None where they agree up to round-off."""
     same = (one.by_tolerance == other.by_tolerance) & np.isclose(one.ended, other.ended, equal_nan=True)
     if one.robustness is not None and other.robustness is not None:

@@ -1,7 +1,6 @@
 """The restoration of trajectory files that a crash of the machine damaged: the same seed gives the same file."""
 
 import hashlib
-import json
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -10,7 +9,7 @@ from ...schemas.ids import RolloutId
 from ...schemas.result.block_facts import BatchFact
 from ...schemas.result.facts import RolloutFact
 from ...schemas.trajectory.batch import read_batch, with_failures
-from ...schemas.trajectory.reduced import Scores, encode_reduced, reduced
+from ...schemas.trajectory.reduced import Scores, reduced_file
 from ..store import files as evidence
 from .ports import FileStore, RecordedRollouts
 
@@ -107,11 +106,8 @@ def _as_recorded(payload: bytes, fact: BatchFact) -> bytes:
         payload = with_failures(payload, dict(fact.failures))
     if fact.kept is None:
         return payload
-    batch, text, metadata = read_batch(payload)
-    if len(batch.failures) > len(fact.failures):
+    if len(read_batch(payload).batch.failures) > len(fact.failures):
         return payload  # one that succeeded then has failed now
     assert fact.robustness is not None, "only batches with a robustness are reduced"
     scores = Scores(fact.robustness, fact.by_tolerance, fact.ended)
-    rest = {name: value for name, value in metadata.items() if name != "columns"}
-    found = reduced(batch, fact.kept, scores, dict(fact.failures))
-    return encode_reduced(found, request=json.loads(text), metadata=rest)
+    return reduced_file(payload, fact.kept, scores, dict(fact.failures))

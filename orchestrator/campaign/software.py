@@ -23,7 +23,7 @@ def software(spec: SystemSpec) -> dict[str, str]:
     """Return name and version of everything that computes trajectories and bounds."""
     own = {"perfbound": __version__, "python": platform.python_version()}
     code = {name: f"sha256 {digest}" for name, digest in spec.code.items()}
-    # Whoever repeats a rollout needs to know that it takes its whole batch.
+    # To repeat one of its rollouts is to repeat the whole batch.
     unit = {"batch_is_the_unit": "yes"} if spec.batch_is_the_unit else {}
     return own | {name: version(name) for name in NUMERICS} | spec.versions | code | unit
 

@@ -24,7 +24,7 @@ Done = Callable[[int], None]
 TRIED = 64
 """Rollouts of a trial batch."""
 FASTEST = 1e-4
-"""Seconds that a trial batch takes at least: less cannot be told from the clock of files."""
+"""Seconds that a trial batch takes at least: the clock of files shows no less."""
 
 
 class ChildRolloutError(PerfboundError):

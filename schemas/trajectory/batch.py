@@ -26,7 +26,7 @@ from ..errors import TrajectoryError, UnusableTrajectoryError, shortened
 from ..ids import RolloutId
 from ..instants import disorder
 from ..ranges import LARGEST_BATCH
-from .canonical import EVIDENCE, FAILURES, OF_BATCH, REQUEST, TIME, canonical_evidence, canonical_file
+from .canonical import EVIDENCE, FAILURES, OF_BATCH, REQUEST, TIME, Layout, canonical_evidence, canonical_file
 from .file_checks import check_checksums, check_length, check_sizes
 from .npy import from_npy, to_npy
 from .trajectory import MALFORMED, File, Trajectory, check_columns, check_finite
@@ -201,22 +201,39 @@ def read_batch(data: bytes) -> BatchFile[Batch]:
 
     """
     try:
-        check_checksums(data)
-        check_sizes(data, arrays=2)  # the times as well
-        metadata, attachments = canonical_evidence(data, OF_BATCH, visual=False)
-        columns = json.loads(metadata["columns"])
-        if not isinstance(columns, list) or not all(isinstance(name, str) for name in columns):
-            raise TrajectoryError("the columns are not a list of names")
-        check_length(REQUEST, attachments[REQUEST])
-        failures = failures_of(attachments.get(FAILURES))
-        arrays = from_npy(TIME, attachments[TIME], 1), from_npy(EVIDENCE, attachments[EVIDENCE], 3)
+        found = read_parts(data, OF_BATCH)
         try:
-            batch = Batch(tuple(columns), *arrays, failures)
+            batch = Batch(found.columns, found.time, found.values, found.failures)
         except ValueError as error:
             raise UnusableTrajectoryError(f"not a usable batch: {error}") from None
-        return BatchFile(batch, attachments[REQUEST], metadata)
+        return BatchFile(batch, found.attachments[REQUEST], found.metadata)
     except MALFORMED as error:
         raise TrajectoryError(f"not a batch's file: {type(error).__name__}: {error}") from error
+
+
+class Parts(NamedTuple):
+    """What the file of every batch has, reduced or not."""
+
+    columns: tuple[str, ...]
+    time: Floats
+    values: Floats
+    failures: dict[int, str]
+    metadata: dict[str, str]
+    attachments: dict[str, bytes]
+
+
+def read_parts(data: bytes, layout: Layout) -> Parts:
+    """Read the file of a batch; raises TrajectoryError, or one of `MALFORMED`, for what is no such file."""
+    check_checksums(data)
+    check_sizes(data, arrays=2)  # the times as well
+    metadata, attachments = canonical_evidence(data, layout, visual=False)
+    columns = json.loads(metadata["columns"])
+    if not isinstance(columns, list) or not all(isinstance(name, str) for name in columns):
+        raise TrajectoryError("the columns are not a list of names")
+    check_length(REQUEST, attachments[REQUEST])
+    failures = _failures(attachments.get(FAILURES))
+    arrays = from_npy(TIME, attachments[TIME], 1), from_npy(EVIDENCE, attachments[EVIDENCE], 3)
+    return Parts(tuple(columns), *arrays, failures, metadata, attachments)
 
 
 def with_failures(data: bytes, failures: Mapping[int, str]) -> bytes:
@@ -225,8 +242,7 @@ def with_failures(data: bytes, failures: Mapping[int, str]) -> bytes:
     values = batch.values.copy()
     values[:, list(failures)] = 0.0
     failed = Batch(batch.columns, batch.time, values, failures)
-    rest = {name: value for name, value in metadata.items() if name != "columns"}
-    return encode_batch(failed, request=json.loads(request), metadata=rest)
+    return encode_batch(failed, request=json.loads(request), metadata=metadata)
 
 
 def failures_text(failures: Mapping[int, str]) -> bytes:
@@ -234,7 +250,7 @@ def failures_text(failures: Mapping[int, str]) -> bytes:
     return canonical_json([[place, shortened(reason)] for place, reason in sorted(failures.items())]).encode()
 
 
-def failures_of(content: bytes | None) -> dict[int, str]:
+def _failures(content: bytes | None) -> dict[int, str]:
     """Read what `failures_text` has written; raises `TrajectoryError` for anything else."""
     if content is None:
         return {}

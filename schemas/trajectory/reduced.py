@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from ..base import canonical_json
 from ..errors import TrajectoryError, UnusableTrajectoryError
 from ..ranges import DIGEST, LARGEST_BATCH
-from .batch import Batch, BatchFile, failures_of, failures_text, read_batch
+from .batch import Batch, BatchFile, failures_text, read_batch, read_parts
 from .canonical import (
     DIGESTS,
     EVIDENCE,
@@ -33,11 +33,10 @@ from .canonical import (
     REQUEST,
     SCORES,
     TIME,
-    canonical_evidence,
     canonical_file,
     is_of,
 )
-from .file_checks import check_checksums, check_length, check_sizes
+from .file_checks import check_length
 from .npy import from_npy, to_npy
 from .trajectory import MALFORMED, Trajectory
 from .visual import Floats
@@ -148,21 +147,19 @@ def encode_reduced(batch: Reduced, *, request: Mapping[str, Any], metadata: Mapp
     return canonical_file(OF_REDUCED, {**metadata, "columns": json.dumps(batch.columns)}, attachments)
 
 
+def reduced_file(data: bytes, kept: Sequence[int], scores: Scores, failures: Mapping[int, str]) -> bytes:
+    """Return the file of the same batch as `reduced` leaves it; raises as `read_batch`."""
+    batch, request, metadata = read_batch(data)
+    return encode_reduced(reduced(batch, kept, scores, failures), request=json.loads(request), metadata=metadata)
+
+
 def read_reduced(data: bytes) -> BatchFile[Reduced]:
     """Return the content of the one file that `encode_reduced` writes for it; raises as `read_batch`."""
     try:
-        check_checksums(data)
-        check_sizes(data, arrays=2)
-        metadata, attachments = canonical_evidence(data, OF_REDUCED, visual=False)
-        columns = json.loads(metadata["columns"])
-        if not isinstance(columns, list) or not all(isinstance(name, str) for name in columns):
-            raise TrajectoryError("the columns are not a list of names")
-        check_length(REQUEST, attachments[REQUEST])
-        failures = failures_of(attachments.get(FAILURES))
-        time, values = from_npy(TIME, attachments[TIME], 1), from_npy(EVIDENCE, attachments[EVIDENCE], 3)
+        columns, time, values, failures, metadata, attachments = read_parts(data, OF_REDUCED)
         kept, scores = _kept(attachments[KEPT]), _scores(attachments[SCORES])
         try:
-            batch = Reduced(tuple(columns), time, kept, values, attachments[DIGESTS], scores, failures)
+            batch = Reduced(columns, time, kept, values, attachments[DIGESTS], scores, failures)
         except ValueError as error:
             raise UnusableTrajectoryError(f"not a usable batch: {error}") from None
         return BatchFile(batch, attachments[REQUEST], metadata)

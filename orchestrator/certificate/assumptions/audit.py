@@ -93,12 +93,8 @@ def assumptions(
         "rollouts": sum(sum(account.counts.values()) for account in ledger.accounts.values())
     }
     found.append(assumption("finite_rollouts", "derived", rollouts))
-    reproducible = _reproducible(checks.recheck, measured=measured, failed=failed)
-    if reproducible.form is None and ledger.header.spec.batch_is_the_unit:
-        reproducible = assumption(
-            reproducible.id, reproducible.status, reproducible.values, form="reproducible_batches"
-        )
-    found.append(reproducible)
+    usual = "reproducible_batches" if ledger.header.spec.batch_is_the_unit else None
+    found.append(_reproducible(checks.recheck, usual, measured=measured, failed=failed))
     found += [*_remarked(ledger), *_reduced(ledger), *_discarded(ledger), *_extended(ledger)]
     if set(PAIR) <= set(accounts):
         # The product needs that neither problem uses the other's data; only method `paper` claims it.
@@ -184,8 +180,8 @@ def _of_regions(found: Iterable[Assumption], name: str, regions: CertifiedRegion
             yield each
 
 
-def _reproducible(recheck: Recheck | None, *, measured: bool, failed: int) -> Assumption:
-    """Return the assumption that a rollout follows from its seed; in fixed words where an attempt failed."""
+def _reproducible(recheck: Recheck | None, usual: str | None, *, measured: bool, failed: int) -> Assumption:
+    """Return the assumption that a rollout follows from its seed, in fixed words where an attempt failed."""
     name, values = "reproducible_rollouts", dict[str, int | float | str]()
     if recheck is not None and recheck.rollouts:
         percent = math.ceil(1000 * recheck.unseen_share) / 10
@@ -193,8 +189,9 @@ def _reproducible(recheck: Recheck | None, *, measured: bool, failed: int) -> As
     if failed and not (recheck and recheck.agreed < recheck.rollouts):
         return assumption(name, "refuted", {"failed": failed, **values}, form="failures_vary")
     if not values:
-        return assumption(name, "assumed", form="measured" if measured else None)
-    return assumption(name, "not refuted" if recheck and recheck.agreed == recheck.rollouts else "refuted", values)
+        return assumption(name, "assumed", form="measured" if measured else usual)
+    status: Status = "not refuted" if recheck and recheck.agreed == recheck.rollouts else "refuted"
+    return assumption(name, status, values, form=usual)
 
 
 def _of_problem(account: Account, methods: Methods) -> Iterator[Assumption]:

@@ -469,7 +469,7 @@ def _sentence(form: str, status: Status, values: Mapping[str, float | int | str]
 
 
 def value_text(value: object) -> str:
-    """Return a value of an assumption as it stands in a sentence.
+    """Return the text of a value in the sentence of an assumption.
 
     >>> value_text(100_000), value_text(0.0123456789), value_text("a.0.nominal.0")
     ('100,000', '0.0123457', 'a.0.nominal.0')

@@ -1,6 +1,5 @@
 """The re-simulation of random rollouts: a test on a sample that the trajectories come from the simulator."""
 
-import json
 import math
 import random
 import secrets
@@ -9,7 +8,6 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,8 +15,8 @@ from ....schemas.base import canonical_json
 from ....schemas.batch import BatchRequest
 from ....schemas.ids import FileId
 from ....schemas.rollout import RolloutRequest
-from ....schemas.trajectory.batch import Batch, BatchFile, read_batch
-from ....schemas.trajectory.reduced import Reduced, Scores, encode_reduced, read_stored, reduced
+from ....schemas.trajectory.batch import Batch, read_batch
+from ....schemas.trajectory.reduced import Reduced, Scores, read_stored, reduced_file
 from ....schemas.trajectory.trajectory import Trajectory, read_mcap
 from ....schemas.trajectory.visual import Floats
 from ...campaign.decisions import scores_of_batch
@@ -79,44 +77,46 @@ def resimulate(wanted: Repetition, count: int, progress: Callable[[int], None]) 
 def _simulate_again(wanted: Repetition, file: FileId, folder: Path) -> Resimulation:
     entry = wanted.entries[file]
     before = files.read_evidence(wanted.directory, entry.path, entry.sha256)
-    out = folder / f"{file}.mcap"
-    if file.places:
-        wanted.simulate(out, BatchRequest.model_validate_json(read_stored(before).request))
+    recorded = read_stored(before) if file.places else None
+    request: RolloutRequest | BatchRequest
+    if recorded is None:
+        request = RolloutRequest.model_validate_json(canonical_json(read_mcap(before).request))
     else:
-        wanted.simulate(out, RolloutRequest.model_validate_json(canonical_json(read_mcap(before).request)))
+        request = BatchRequest.model_validate_json(recorded.request)
+    out = folder / f"{file}.mcap"
+    wanted.simulate(out, request)
     after = out.read_bytes()
     out.unlink()
-    if file.places and isinstance((kept := read_stored(before)).batch, Reduced):
-        after = _as_kept(kept, after, wanted.observer)
+    if recorded is not None and isinstance(recorded.batch, Reduced):
+        after = _as_kept(recorded.batch, after, wanted.observer)
     if after == before:
         return Resimulation(file, bitwise=True, difference=0.0)
-    distance = _batch_difference(before, after) if file.places else _difference(before, after)
+    if recorded is None:
+        distance, bitwise = _difference(before, after), False
+    else:
+        again = read_stored(after).batch
+        distance, bitwise = _batch_difference(recorded.batch, again), _same_digests(recorded.batch, again)
     # In this form a NaN, of which every comparison is false, fails.
     if not distance <= TOLERANCE:
         raise CheckFailed("resimulation", f"{file}: simulated again, it differs by up to {distance:.3g}")
-    return Resimulation(file, bitwise=file.places > 0 and _same_digests(before, after), difference=distance)
+    return Resimulation(file, bitwise=bitwise, difference=distance)
 
 
-def _as_kept(before: BatchFile[Any], after: bytes, observer: Observer) -> bytes:
+def _as_kept(before: Reduced, after: bytes, observer: Observer) -> bytes:
     """Return the file of a batch that was simulated again, reduced as the recorded one."""
     batch, request, _ = read_batch(after)
     # Every rollout is scored: a robustness that no samples back any more could be any number.
     found = scores_of_batch(observer, BatchRequest.model_validate_json(request), batch)
     assert found.robustness is not None, "only batches with a robustness are reduced"
-    kept = [place for place in before.batch.kept if place not in found.failures]
-    scores = Scores(found.robustness, found.by_tolerance, found.ended)
-    rest = {name: value for name, value in before.metadata.items() if name != "columns"}
-    return encode_reduced(
-        reduced(batch, kept, scores, found.failures), request=json.loads(before.request), metadata=rest
-    )
+    kept = [place for place in before.kept if place not in found.failures]
+    return reduced_file(after, kept, Scores(found.robustness, found.by_tolerance, found.ended), found.failures)
 
 
-def _batch_difference(before: bytes, after: bytes) -> float:
+def _batch_difference(a: Batch | Reduced, b: Batch | Reduced) -> float:
     """Return the largest difference of any number; a rollout that failed in one of the two is left out.
 
     Of one whose samples were not kept the scores are compared in place of them.
     """
-    a, b = read_stored(before).batch, read_stored(after).batch
     if a.columns != b.columns or a.time.shape != b.time.shape or len(a) != len(b):
         return math.inf
     both = sorted({*a.succeeded} & {*b.succeeded})
@@ -131,10 +131,9 @@ def _batch_difference(before: bytes, after: bytes) -> float:
     return float(max(np.max(each, initial=0.0) for each in distances))
 
 
-def _same_digests(before: bytes, after: bytes) -> bool:
+def _same_digests(a: Batch | Reduced, b: Batch | Reduced) -> bool:
     """Whether the rollouts that succeeded in both batches agree in every bit."""
-    pairs = zip(read_stored(before).batch.digests, read_stored(after).batch.digests, strict=True)
-    return all(one == other for one, other in pairs if one and other)
+    return all(one == other for one, other in zip(a.digests, b.digests, strict=True) if one and other)
 
 
 def _samples(batch: Batch | Reduced, places: Sequence[int]) -> Floats:

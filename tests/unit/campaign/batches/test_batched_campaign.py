@@ -332,9 +332,12 @@ def test_a_block_ends_at_the_counterexample_that_the_report_shows(tmp_path: Path
     assert report.violations >= len(report.counterexamples) > 0
 
 
+@pytest.mark.parametrize("chosen", [CAMPAIGNS["sample, blocks"], REDUCED["sample, the worst"]])
 @pytest.mark.parametrize("failing", [none, some])
-def test_a_damaged_batch_comes_back(tmp_path: Path, failing: Callable[[BatchRequest], list[int]]) -> None:
-    with played(tmp_path / "run", sampled(16), failing=failing) as play:
+def test_a_damaged_batch_comes_back(
+    tmp_path: Path, failing: Callable[[BatchRequest], list[int]], chosen: CampaignConfig
+) -> None:
+    with played(tmp_path / "run", chosen, failing=failing) as play:
         certificate = play.certify()
         kept = {path: path.read_bytes() for path in (tmp_path / "run" / "trajectories").rglob("*.mcap")}
         for place, (path, content) in enumerate(kept.items()):

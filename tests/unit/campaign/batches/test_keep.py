@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,6 @@ from perfbound.orchestrator.campaign.series import Kept
 from perfbound.orchestrator.certificate.verify.run import verify_certificate
 from perfbound.orchestrator.report.rollout.load import load_recorded
 from perfbound.orchestrator.store import facts as recorded_facts
-from perfbound.schemas.batch import BatchRequest
 from perfbound.schemas.errors import EvidenceError, PerfboundError
 from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.result.block_facts import BatchFact
@@ -34,7 +32,6 @@ from tests.unit.campaign.batches.test_batched_campaign import (
     numbers,
     played,
     sampled,
-    some,
 )
 
 WORST = REDUCED["sample, the worst"]
@@ -128,22 +125,6 @@ def test_the_certificate_says_what_is_left(tmp_path: Path) -> None:
     assert "recomputed from those whose samples were kept" in found["workers_honest"].detail
     said = checked(tmp_path / "run").found["observations"].detail
     assert said == f"200 tests; the robustness of {200 - kept} rollouts without samples is taken as recorded"
-
-
-@pytest.mark.parametrize("failing", [none, some])
-def test_a_damaged_file_comes_back(tmp_path: Path, failing: Callable[[BatchRequest], list[int]]) -> None:
-    with played(tmp_path / "run", WORST, failing=failing) as play:
-        certificate = play.certify()
-        kept = {path: path.read_bytes() for path in (tmp_path / "run" / "trajectories").rglob("*.mcap")}
-        for place, (path, content) in enumerate(kept.items()):
-            if place % 2:
-                path.unlink()
-            else:
-                path.write_bytes(content[:-1])
-        assert play.restart()
-        play.play()
-        assert {path: path.read_bytes() for path in kept} == kept
-        assert play.certify() == certificate
 
 
 def test_a_damaged_file_does_not_come_back_with_other_samples(tmp_path: Path) -> None:
