@@ -20,7 +20,7 @@ from perfbound.orchestrator.store import facts as recorded_facts
 from perfbound.schemas.errors import EvidenceError, PerfboundError
 from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.result.block_facts import BatchFact
-from perfbound.schemas.trajectory.batch import Batch, encode_batch
+from perfbound.schemas.trajectory.batch import Batch, encode_batch, with_failures
 from perfbound.schemas.trajectory.reduced import Reduced, read_stored
 from tests.unit.campaign.batches.test_batched_campaign import (
     CAMPAIGNS,
@@ -142,6 +142,16 @@ def test_a_damaged_file_does_not_come_back_with_other_samples(tmp_path: Path) ->
         with play.ledger.transaction():
             play.ledger.record(rollout, payload, found, sha256)
         assert play.ledger.done
+
+
+def test_a_damaged_file_does_not_come_back_where_a_rollout_fails_now(tmp_path: Path) -> None:
+    with played(tmp_path / "run", sampled(16, keep="worst 5")) as play:
+        next((tmp_path / "run" / "trajectories").rglob("*.mcap")).unlink()
+        (rollout,) = play.restart()
+        payload, found, _ = play._simulated(play.ledger, rollout)
+        failed = with_failures(payload, {1: "it diverged"})
+        with pytest.raises(PerfboundError, match="does not follow from its seed alone"), play.ledger.transaction():
+            play.ledger.record(rollout, failed, found, hashlib.sha256(failed).hexdigest())
 
 
 class Dishonest(Play):

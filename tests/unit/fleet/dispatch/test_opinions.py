@@ -26,7 +26,7 @@ from perfbound.orchestrator.fleet.dispatch.events import (
     WorkerUp,
 )
 from perfbound.orchestrator.fleet.dispatch.limits import Limits
-from perfbound.orchestrator.fleet.dispatch.opinions import UNLIKE, without
+from perfbound.orchestrator.fleet.dispatch.opinions import UNLIKE, contradicts, has_all_of, without
 from perfbound.orchestrator.fleet.dispatch.state import DispatchState
 from perfbound.schemas.failure import Failure
 from perfbound.schemas.ids import Attempt, RolloutId, first_of
@@ -294,3 +294,28 @@ def test_with_two_good_workers_no_lie_that_is_compared_is_recorded(
     assert found.poison is None
     assert len(found.recorded) == 12
     assert set(found.true.values()) == {True}, "it lies from the start, and its first results are compared"
+
+
+A, B, C = b"a" * 32, b"b" * 32, b"c" * 32
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "has_all", "differs"),
+    [
+        ((A, B), (A, B), True, False),
+        ((A, B), (A, b""), True, False),
+        ((A, b""), (A, B), False, False),
+        ((A, B), (A, C), False, True),
+        ((A, b""), (b"", B), False, False),
+        ((), (), False, True),
+        ((A, B), (A,), False, True),
+    ],
+)
+def test_batches_are_compared_rollout_by_rollout(
+    one: tuple[bytes, ...], other: tuple[bytes, ...], has_all: bool, differs: bool
+) -> None:
+    """One that failed in a batch contradicts nothing; without the digests of each only the files can be compared."""
+    own, theirs = (Opinion("w", "h", Attempt(R0, 1), digest, each=each) for digest, each in (("1", one), ("2", other)))
+    assert (has_all_of(own, theirs), contradicts(own, theirs)) == (has_all, differs)
+    alike = replace(theirs, digest="1")
+    assert (has_all_of(own, alike), contradicts(own, alike)) == (True, False)
