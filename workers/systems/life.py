@@ -3,7 +3,6 @@
 import _thread
 import os
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -49,6 +48,8 @@ class _Clock:
         self._lock = threading.Lock()
         self._rollouts: list[_Rollout] = []
         self._running = False
+        # Never set. Not `time.sleep`, which a system or a test may replace: a clock that ends so would never run again.
+        self._pause = threading.Event()
 
     def add(self, progress: Progress) -> _Rollout:
         rollout = _Rollout(progress)
@@ -67,7 +68,7 @@ class _Clock:
 
     def _run(self) -> None:
         while True:
-            time.sleep(TICK)
+            self._pause.wait(TICK)
             with self._lock:
                 if not self._rollouts:
                     self._running = False

@@ -101,3 +101,17 @@ os._exit(7)
 """
     ended = subprocess.run([sys.executable, "-W", "ignore", "-c", code], timeout=PATIENCE, check=False)
     assert ended.returncode == 7
+
+
+def test_a_sleep_that_somebody_replaced_does_not_end_the_signs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The clock is that of the process: once it had ended so, no later rollout had a sign."""
+
+    def refused(_seconds: float) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(time, "sleep", refused)
+    came = threading.Event()
+    for _ in range(2):
+        came.clear()
+        with signs_of_life(lambda _: came.set()):
+            assert came.wait(PATIENCE)
