@@ -52,31 +52,29 @@ def inside(directory: Path, relative: str) -> Path:
 class Batch:
     """Files that become durable together: written inside a `with` block, in place at its end, or not at all.
 
-    Used by one thread. Each file is synced in the background while the next one is admitted and written.
+    Used by one thread. Each file is written and synced in the background while the next one is admitted.
     """
 
     def __init__(self) -> None:
         self._written: dict[Path, Path] = {}
         """Places that are still to be filled, and where the files are written beside them."""
-        self._syncing: list[Future[None]] = []
+        self._writing: list[Future[None]] = []
         # Side by side: one after the other, a disk on which 740 files a second become durable took 100.
         self._pool = ThreadPoolExecutor(SYNCING, thread_name_prefix="fsync")
 
     def write(self, path: Path, data: bytes) -> None:
-        """Write a file beside its place; on an error nothing is left of it.
+        """Begin to write a file beside its place; an error is raised at the end of the block.
 
         Raises:
-            OSError: the disk is full or the folder cannot be written.
+            OSError: the folder cannot be made.
 
         """
         make_folder(path.parent)
         partial = self._written[path] = temporary(path)
-        with fresh(partial) as file:
-            file.write(data)
         try:
-            self._syncing.append(self._pool.submit(sync, partial))
+            self._writing.append(self._pool.submit(_write_synced, partial, data))
         except RuntimeError:  # the main thread has ended, and another one goes on: Python starts no thread any more
-            sync(partial)
+            _write_synced(partial, data)
 
     def __enter__(self) -> None:
         """Begin with nothing."""
@@ -85,21 +83,22 @@ class Batch:
         """Make everything durable and move it into place; after an error remove it.
 
         Raises:
-            OSError: the disk is full. What was moved already stays: a file without its fact is written again or swept.
+            OSError: the disk is full, or a folder cannot be written. What was moved already stays: a file without its
+                fact is written again or swept.
 
         """
         try:
             if kind is None:
                 self._settle()
         finally:
-            wait(self._syncing)  # no thread may still open a file that is removed below
+            wait(self._writing)  # no thread may still open a file that is removed below
             for partial in self._written.values():
                 partial.unlink(missing_ok=True)
             self._written.clear()
-            self._syncing.clear()
+            self._writing.clear()
 
     def _settle(self) -> None:
-        for each in self._syncing:
+        for each in self._writing:
             each.result()
         # All files are on the disk before the first rename, and all names before the commit of their facts: kill -9 or
         # a power cut between two lines leaves files without facts, which a resume sweeps, never facts without files.
@@ -109,6 +108,13 @@ class Batch:
             del self._written[path]
         for folder in folders:  # one, mostly: the way to a thread and back would take longer than the wait saves
             sync(folder)
+
+
+def _write_synced(path: Path, data: bytes) -> None:
+    with fresh(path) as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def read_evidence(directory: Path, relative: str, sha256: str) -> bytes:
