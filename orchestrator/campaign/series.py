@@ -297,6 +297,16 @@ class Kept:
         self._worst = np.empty(0)
         self._limits: dict[int, float] = {}
 
+    def __eq__(self, other: object) -> bool:
+        """Whether both will decide alike."""
+        return isinstance(other, Kept) and self._state == other._state
+
+    __hash__ = None  # type: ignore[assignment]  # it changes
+
+    @property
+    def _state(self) -> tuple[object, ...]:
+        return self._all, self._most, self.number, self._worst.tolist(), self._limits
+
     def propose(self, test: int) -> None:
         """Take a proposed test, or the first one of a block."""
         if self._most is not None:
