@@ -7,14 +7,14 @@ import sqlalchemy as sa
 from sqlalchemy import Connection
 
 from ....schemas.batch import BatchRequest
-from ....schemas.errors import EvidenceError, PerfboundError
+from ....schemas.errors import EvidenceError, PerfboundError, one_line
 from ....schemas.ids import RolloutId
 from ....schemas.result.facts import Header, RolloutFact
 from ....schemas.rollout import RolloutRequest
 from ....schemas.trajectory.trajectory import Trajectory
 from ...store import tables
-from ...store.changes import proposal_in, rollouts_in
-from ...store.read import read_header, reading
+from ...store.changes import batch_in, proposal_in, rollouts_in
+from ...store.read import failures, read_header, reading
 from .of_tests import read_batch_of, read_recorded
 
 _rollouts = tables.rollouts.c
@@ -65,6 +65,39 @@ def load_recorded(directory: Path, text: str) -> RecordedRollout:
     return RecordedRollout(header, fact, request, file.trajectory, batch=batch)
 
 
+def load_batch(directory: Path, recorded: RecordedRollout) -> list[RecordedRollout]:
+    """Return the rollouts in the file of a recorded one that have samples there, in their order.
+
+    Raises:
+        JournalError: the database cannot be read.
+        EvidenceError: the file is missing or damaged.
+
+    """
+    header, fact = recorded.header, recorded.fact
+    if not fact.batch:
+        return [recorded]
+    with reading(directory) as connection:
+        facts = {each.rollout: each for each in batch_in(connection, directory, fact) if each.kept}
+    file = read_batch_of(directory, fact)
+    places = ((place, facts[each]) for place, each in enumerate(file.requested.rollouts) if each in facts)
+    return [
+        RecordedRollout(header, each, file.requested.single(place), file.batch.trajectory(place))
+        for place, each in places
+    ]
+
+
+def description(found: RecordedRollout) -> str:
+    """Return system, variant, start, seed and robustness of a rollout in one line."""
+    request, spec = found.request, found.header.spec
+    start = ", ".join(
+        f"{each.name} = {value:g} {each.unit}".removesuffix(" 1")
+        for each, value in zip(spec.parameters, request.x, strict=True)
+    )
+    score = "" if found.fact.robustness is None else f", robustness {found.fact.robustness:.6g}"
+    score += "; its sign may depend on a time stamp close to a border of a window" if found.fact.by_tolerance else ""
+    return f"{spec.name}, {request.variant}, {start}, seed {request.seed}{score}"
+
+
 def _find(connection: Connection, header: Header, directory: Path, text: str) -> tuple[RolloutFact, tuple[float, ...]]:
     try:
         rollout = RolloutId.parse(text.replace("-", "."))
@@ -75,7 +108,9 @@ def _find(connection: Connection, header: Header, directory: Path, text: str) ->
     found = {fact.rollout: fact for fact in rollouts_in(connection, directory, rollout.problem, rollout.test)}
     if rollout not in found:
         existing = _existing(connection, header, rollout, [str(each) for each in sorted(found)])
-        raise PerfboundError(f"{directory}: no rollout {rollout} is recorded; {existing}")
+        failed = [each.failure.reason for each in failures(directory) if each.attempt.rollout == rollout]
+        what = f"rollout {rollout} failed: {one_line(failed[-1])}" if failed else f"no rollout {rollout} is recorded"
+        raise PerfboundError(f"{directory}: {what}; {existing}")
     return found[rollout], proposal_in(connection, directory, rollout.problem, rollout.test).x
 
 
@@ -88,9 +123,11 @@ def _existing(connection: Connection, header: Header, rollout: RolloutId, of_tes
     """Return the nearest choice: rollouts of the test, tests of the problem, or the problems."""
     if of_test:
         return f"choose one of its test: {', '.join(of_test[:4])}{', ...' if len(of_test) > 4 else ''}"
-    last = connection.execute(sa.select(sa.func.max(_rollouts.test)).where(_rollouts.problem == rollout.problem))
-    if (number := last.scalar()) is not None:
-        return f"choose a test of {rollout.problem} from 0 to {number}"
+    # A row has the rollouts of one test, or of the tests of a batch.
+    last = sa.func.max(_rollouts.test + _rollouts.places / _rollouts.replicates - 1)
+    number = connection.execute(sa.select(last).where(_rollouts.problem == rollout.problem)).scalar()
+    if number is not None:
+        return f"choose a test of {rollout.problem} from 0 to {number:,.0f}"
     first = sa.func.min(_rollouts.seq)
     recorded = connection.execute(sa.select(_rollouts.problem).group_by(_rollouts.problem).order_by(first)).scalars()
     names = dict.fromkeys([*recorded, *(problem.name for problem in header.config.problems)])
