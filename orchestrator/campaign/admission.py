@@ -159,10 +159,7 @@ class Admission:
         if self._ledger.restores(rollout):
             return found, "same"
         # Its partner may come in another batch, and needs the same grid.
-        paired = (
-            rollout.problem in self._ledger.plans and self._ledger.plans[rollout.problem].objective.measured == "gap"
-        )
-        return found, "first of a pair" if paired else "alone"
+        return found, "first of a pair" if self._ledger.batched(rollout.problem).has_pairs else "alone"
 
     def _others(self, rollout: RolloutId, key: tuple[str, int]) -> list[Trajectory]:
         facts = self._ledger.series[rollout.problem].rollouts.get(rollout.test, ())

@@ -109,6 +109,11 @@ class ProblemDecisions:
         self._observer.check(self._plan, rollout[2:], trajectory, others)
 
     @property
+    def has_pairs(self) -> bool:
+        """Whether rollouts of a test are compared with one another."""
+        return self._plan.objective.measured == "gap"
+
+    @property
     def needs_scores_alone(self) -> bool:
         """Whether an observation follows from the recorded scores of its rollouts."""
         return is_robustness(self._plan)

@@ -40,6 +40,7 @@ from ...schemas.trajectory.trajectory import Trajectory
 from ..store import files as evidence
 from . import state
 from .closing.checks import ClosingChecks
+from .closing.spot_check import SpotCheck
 from .decisions import Decider, Follow, ProblemDecisions, scores
 from .extension import check_extension
 from .methods import methods
@@ -97,11 +98,10 @@ class Ledger:
         """The accounts of the problems, then the closing checks that have begun."""
         self.state = state.initial(tuple(each.machine for each in self.plans.values()))
         self.observer = Observer(header.config, header.spec)
-        self._problems = {
+        self.deciders: dict[str, Decider] = {
             name: ProblemDecisions(account, header, self.methods, self.observer, follow)
             for name, account in self.accounts.items()
         }
-        self.deciders: dict[str, Decider] = dict(self._problems)
         self._directory, self._store = directory, store
         self.recorded = Recorded(directory, store)
         self.closing = ClosingChecks(header, self.accounts, self.methods, self.observer, self.recorded)
@@ -195,7 +195,7 @@ class Ledger:
         ):  # it has failed in its batch, and is made again alone
             tests = replicates = 1
         starts = series.starts(rollout.test, tests)
-        seeds = self._of(rollout).seeds(rollout, tests, replicates)
+        seeds = self.batched(rollout.problem).seeds(rollout, tests, replicates)
         return batch_request(self._template, rollout, starts, seeds)
 
     def request_again(self, work: WorkId) -> RolloutRequest | BatchRequest:
@@ -206,7 +206,8 @@ class Ledger:
         replicates = min(work.places, state.plan_of(self.state, first.problem).replicates_of(first))
         tests = work.places // replicates
         starts = [self.recorded.start(first._replace(test=first.test + each)) for each in range(tests)]
-        return batch_request(self._template, first, starts, self._of(first).seeds(first, tests, replicates))
+        seeds = self.batched(first.problem).seeds(first, tests, replicates)
+        return batch_request(self._template, first, starts, seeds)
 
     def restores(self, rollout: RolloutId) -> bool:
         """Whether this rollout has been recorded, and only its file is wanted again."""
@@ -235,7 +236,7 @@ class Ledger:
         if isinstance(found, Scored):
             assert isinstance(request, BatchRequest)
             block = state.plan_of(self.state, rollout.problem).batch_of(rollout)[0].test
-            if (left := _reduced(self.accounts[rollout.problem].kept, rollout, block, found)) is not None:
+            if (left := _reduced(self.series[rollout.problem].kept, rollout, block, found)) is not None:
                 payload = encode_reduced(left, request=request.model_dump(mode="json"), metadata=request.metadata)
                 sha256, found = hashlib.sha256(payload).hexdigest(), replace(found, batch=left)
             fact: RolloutFact | BatchFact = _batch_fact(rollout, block, request, found, (sha256, len(payload), path))
@@ -247,13 +248,16 @@ class Ledger:
         # Its test is observed as soon as the other rollouts of it are there: it is not read back from the disk.
         if not isinstance(found, Scored):
             self.recorded.keep(rollout, found)
-        elif isinstance(found.batch, Batch) and not self._of(rollout).needs_scores_alone:
+        elif isinstance(found.batch, Batch) and not self.batched(rollout.problem).needs_scores_alone:
             assert isinstance(fact, BatchFact)
             self.recorded.keep_batch(fact, found.batch)
         return self._advance(self._write(fact))
 
-    def _of(self, rollout: RolloutId) -> ProblemDecisions:
-        return self._problems[rollout.problem]
+    def batched(self, name: str) -> ProblemDecisions | SpotCheck:
+        """Return the decider of a series that has batches."""
+        found = self.deciders[name]
+        assert isinstance(found, ProblemDecisions | SpotCheck), "no other series has batches"
+        return found
 
     def _advance(self, actions: Iterable[state.Action]) -> Work:
         """Carry out actions and those that follow from them, until only simulations are left."""
@@ -278,24 +282,24 @@ class Ledger:
         plan, series = state.plan_of(self.state, name), self.series[name]
         if plan.block == 1:
             return self.deciders[name].proposal(series, test)
-        return self._problems[name].block(series, plan.tests_of(test))
+        return self.batched(name).block(series, plan.tests_of(test))
 
     def _observe(self, name: str, test: int) -> tuple[state.Action, ...]:
-        series, plan = self.series[name], state.plan_of(self.state, name)
+        series, decider = self.series[name], self.deciders[name]
         if test in series.blocks:
             batches = series.batches[test]
-            self._write(self._problems[name].observed_block(series, test, self.recorded.batch))
+            self._write(self.batched(name).observed_block(series, test, self.recorded.batch))
             self.recorded.drop(each.sha256 for each in batches)
             assert series.due is not None
             return self._write(series.due)
         # By id: the order of arrival depends on the workers, and an observation must not.
         facts = sorted(series.rollouts[test], key=lambda fact: fact.rollout)
-        if plan.batch > 1 and self._problems[name].needs_scores_alone:
-            self._write(self._problems[name].observed_scores(series, test, facts))
+        if self.config.batch > 1 and isinstance(decider, ProblemDecisions) and decider.needs_scores_alone:
+            self._write(decider.observed_scores(series, test, facts))
         else:
             trajectories = {fact.rollout[2:]: self.recorded.take(fact) for fact in facts}
             self.recorded.drop({fact.batch for fact in facts})
-            self._write(self.deciders[name].observation(series, test, trajectories))
+            self._write(decider.observation(series, test, trajectories))
         assert series.due is not None
         return self._write(series.due)
 
@@ -314,7 +318,7 @@ class Ledger:
             case BlockObservationFact(problem):
                 series = self.series[problem]
                 series.observe_block(fact)
-                series.due = self._problems[problem].bound(series, fact)
+                series.due = self.batched(problem).bound(series, fact)
                 return ()
             case ProposalFact(problem, test) | BlockProposalFact(problem, test):
                 self.series[problem].propose(fact)

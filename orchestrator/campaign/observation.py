@@ -283,7 +283,7 @@ def observed_block(
     """
     if is_robustness(plan):
         return _of_robustness(plan, _by_test(tests, batches))
-    rows = [observer.observe(plan, each) for each in _trajectories(tests, batches, load)]
+    rows = [observer.observe(plan, each) for each in block_trajectories(tests, batches, load)]
     return np.array([row.y for row in rows]), np.array([row.each for row in rows])
 
 
@@ -338,7 +338,8 @@ def _by_test(tests: int, batches: Sequence[BatchFact]) -> Floats:
     return found
 
 
-def _trajectories(tests: int, batches: Sequence[BatchFact], load: Load) -> list[dict[tuple[str, int], Trajectory]]:
+def block_trajectories(tests: int, batches: Sequence[BatchFact], load: Load) -> list[Trajectories]:
+    """Return the trajectories of each test of a block of so many, from its batches."""
     first = min(batch.rollout.test for batch in batches)
     found: list[dict[RolloutId, Trajectory]] = [{} for _ in range(tests)]
     for batch in batches:

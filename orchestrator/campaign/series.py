@@ -144,6 +144,7 @@ class Series:
     """As in `ProblemProgress`."""
     budgets: list[int] = field(default_factory=list)
     """Tests at most after each extension of the campaign that this series has part in."""
+    kept: "Kept" = field(default_factory=lambda: Kept("all"))
     _failed: Counter[int] = field(default_factory=Counter)
     """Of open tests, or blocks, as in `failed`."""
 
@@ -324,7 +325,6 @@ class Account(Series):
     """The facts of one problem."""
 
     plan: ProblemPlan = field(kw_only=True)
-    kept: Kept = field(default_factory=lambda: Kept("all"))
     proposed: list[Proposal] = field(default_factory=list)
     """The proposals of the closed tests, where a kernel method may be given them again; its kernel rows cost more."""
     excess: float = -math.inf
