@@ -199,6 +199,7 @@ REDUCED = {
     ),
     "kriging, the worst within a test": planned(4, replicates=10, max_tests=3).model_copy(update={"keep": "worst 2"}),
     "scenario, the worst within a test": a_list(batch=3, keep="worst 4"),
+    "the worst, but a whole spot check": checked_afresh(spot_check=21, spot_check_followups=9, keep="worst 3"),
 }
 """Campaigns that keep not all samples."""
 
