@@ -19,6 +19,7 @@ from perfbound.orchestrator.fleet.dispatch.limits import Limits
 from perfbound.orchestrator.fleet.dispatch.opinions import PARTLY
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.run.collision import PoisonedError
+from perfbound.orchestrator.run.service import RunStatus
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.export import table_rows
 from perfbound.orchestrator.store.rows import DATABASE, work_name
@@ -247,6 +248,25 @@ def test_failures_in_the_batches_of_one_worker_outvote_nobody(tmp_path: Path, ca
     assert {reason for (reason,) in query(directory, "SELECT outcome FROM outcomes WHERE kind = 'system'")} <= {
         PARTLY.reason
     }
+
+
+@pytest.mark.rest
+def test_failures_in_a_batch_of_before_a_restart_outvote_nobody(tmp_path: Path) -> None:
+    """The first opinion lacks a rollout that both later ones have."""
+    directory, config = tmp_path / "run", a_config(second_opinion=1.0)
+    begin(directory, config)
+
+    def compared(_: RunStatus) -> bool:
+        return bool(query(directory, "SELECT * FROM opinions WHERE length(digests) = 512"))
+
+    flaky: Wrap = lambda uplink: Altering(uplink, losing(1), batches=1)  # noqa: E731
+    with Network() as network, working(network, run_of(directory), [flaky]), pytest.raises(Stopped):
+        serve(directory, network, Log(), stop=compared)
+    with Network() as network, working(network, run_of(directory), [lambda uplink: uplink] * 2):
+        found = serve(directory, network, Log(), resumed=True)
+    assert query(directory, "SELECT worker FROM opinions WHERE kind = 'outvoted'") == []
+    assert PARTLY.reason in {reason for (reason,) in query(directory, "SELECT outcome FROM outcomes")}
+    assert assumption(found, "workers_honest")["status"] == "not refuted"
 
 
 def shifted(payload: bytes) -> bytes:
