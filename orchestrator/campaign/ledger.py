@@ -5,7 +5,7 @@ Every fact takes one way, live, in a replay and in `verify`: `_apply`. Live, it 
 
 import hashlib
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -178,17 +178,13 @@ class Ledger:
         return found
 
     def _requested(self, rollout: RolloutId) -> RolloutRequest | BatchRequest:
-        decider, damaged = self.deciders[rollout.problem], self._restoration.batch(rollout)
-        if damaged is not None:
+        if (damaged := self._restoration.batch(rollout)) is not None:
             return batch_request(self._template, rollout, self._restoration.starts(damaged), damaged.seeds.tolist())
         series, plan = self.series[rollout.problem], state.plan_of(self.state, rollout.problem)
         if plan.batch == 1 or rollout in self._restoration:
             fact = series.proposals.get(rollout.test)
             # A damaged file may belong to a closed test, of which the series keeps sums alone.
-            start = fact.proposal.x if fact else self._restoration.start(rollout)
-            original = self.closing.original(rollout)
-            within = None if original is None else self.recorded.within(original)
-            return self._template.request(rollout, start, decider.seed(rollout), within=within)
+            return self._alone(rollout, fact.proposal.x if fact else self._restoration.start(rollout))
         first, tests, replicates = plan.batch_of(rollout)
         if first != rollout or series.has_begun(
             first, replicates
@@ -198,11 +194,16 @@ class Ledger:
         seeds = self.batched(rollout.problem).seeds(rollout, tests, replicates)
         return batch_request(self._template, rollout, starts, seeds)
 
+    def _alone(self, rollout: RolloutId, start: Sequence[float]) -> RolloutRequest:
+        original = self.closing.original(rollout)
+        within = None if original is None else self.recorded.within(original)
+        return self._template.request(rollout, start, self.deciders[rollout.problem].seed(rollout), within=within)
+
     def request_again(self, work: WorkId) -> RolloutRequest | BatchRequest:
         """Return the request for a rollout or a batch of any test, which may be closed; in or outside a transaction."""
         first = first_of(work)
         if not isinstance(work, FileId):
-            return self._template.request(first, self.recorded.start(first), self.deciders[first.problem].seed(first))
+            return self._alone(first, self.recorded.start(first))
         replicates = min(work.places, state.plan_of(self.state, first.problem).replicates_of(first))
         tests = work.places // replicates
         starts = [self.recorded.start(first._replace(test=first.test + each)) for each in range(tests)]

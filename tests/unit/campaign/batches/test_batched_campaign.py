@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import perfbound as pb
 from perfbound.orchestrator.campaign.admission import admit_either, scored
 from perfbound.orchestrator.campaign.ledger import Ledger, Scored, observed_rollouts
 from perfbound.orchestrator.certificate import files
@@ -21,6 +22,7 @@ from perfbound.orchestrator.certificate.verify.resimulate import Resimulation, f
 from perfbound.orchestrator.certificate.verify.run import verify_certificate
 from perfbound.orchestrator.report.collect.campaign import Collector
 from perfbound.orchestrator.report.collect.violations import ranked_tests, violating_starts
+from perfbound.orchestrator.report.rollout.load import load_recorded
 from perfbound.orchestrator.store import facts as recorded_facts
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.export import table_rows
@@ -30,13 +32,14 @@ from perfbound.orchestrator.store.robustness import read_number_of_rollouts, rea
 from perfbound.schemas.batch import BatchRequest, work_of
 from perfbound.schemas.errors import JournalError
 from perfbound.schemas.file.config import CampaignConfig
-from perfbound.schemas.ids import Attempt, FileId
+from perfbound.schemas.ids import Attempt, FileId, RolloutId
 from perfbound.schemas.result.block_facts import BatchFact, BlockObservationFact, BlockProposalFact
 from perfbound.schemas.result.facts import RECORDED, Header, ObservationFact, RolloutFact
 from perfbound.schemas.trajectory.batch import Batch, with_failures
-from perfbound.schemas.trajectory.trajectory import Trajectory
+from perfbound.schemas.trajectory.trajectory import Trajectory, read_mcap
 from perfbound.workers.batch import run_on
 from perfbound.workers.systems import load_system
+from perfbound.workers.systems.base import SystemUnderTest
 from tests.fakes.finished import KERNEL, a_list, a_pair
 from tests.tampering import editing
 
@@ -74,9 +77,16 @@ def checked_afresh(**changes: Any) -> CampaignConfig:
 class Play:
     """One campaign in this process; `failing` says which places of a batch fail at its first attempt."""
 
-    def __init__(self, directory: Path, chosen: CampaignConfig, failing: Callable[[BatchRequest], list[int]]) -> None:
+    def __init__(
+        self,
+        directory: Path,
+        chosen: CampaignConfig,
+        failing: Callable[[BatchRequest], list[int]],
+        system: SystemUnderTest | None = None,
+    ) -> None:
         self.directory, self._failing = directory, failing
-        self.header = Header.new(chosen, load_system("test-function").spec, {}, run="0" * 16)
+        self.system = system or load_system("test-function")
+        self.header = Header.new(chosen, self.system.spec, {}, run="0" * 16)
         self.journal = Journal.create(directory, self.header)
         self.ledger = Ledger(directory, self.journal)
         self._tried: Counter[str] = Counter()
@@ -117,7 +127,7 @@ class Play:
 
     def _simulated(self, ledger: Ledger, rollout: Any) -> tuple[bytes, Trajectory | Scored, str]:
         request = ledger.request(rollout)
-        payload = run_on(load_system("test-function"), request, lambda _: None)
+        payload = run_on(self.system, request, lambda _: None)
         if isinstance(request, BatchRequest):
             self.requests.append(request)
             self._tried[request.rollout] += 1
@@ -155,9 +165,9 @@ def some(request: BatchRequest) -> list[int]:
 
 @contextmanager
 def played(directory: Path, chosen: CampaignConfig, **keys: Any) -> Iterator[Play]:
-    failing = keys.pop("failing", none)
+    failing, system = keys.pop("failing", none), keys.pop("system", None)
     directory.mkdir()
-    found = Play(directory, chosen, failing).play(**keys)
+    found = Play(directory, chosen, failing, system).play(**keys)
     try:
         yield found
     finally:
@@ -361,6 +371,26 @@ def test_a_damaged_batch_comes_back(
         play.play()
         assert {path: path.read_bytes() for path in kept} == kept
         assert play.certify() == certificate
+
+
+@pb.system(parameters={"z": pb.Parameter(0, 9)}, columns={"y": ""}, step=0.1, vectorised=True, batch_is_the_unit=True)
+def coupled(z: Any, *, seeds: Any, horizon: float) -> Any:
+    """The size of the batch shows in the samples."""
+    return len(seeds) + z[:, np.newaxis] + np.arange(round(horizon / 0.1) + 1)
+
+
+def test_where_the_batch_is_the_unit_a_repeated_rollout_is_repeated_within_it(tmp_path: Path) -> None:
+    """Also one of the recheck, which the review asks for once more, or somebody opens."""
+    chosen = sampled(16, specification="always (y >= 1)", recheck=7, space={"z": {"low": 0.0, "high": 9.0}})
+    with played(tmp_path / "run", chosen, system=coupled) as play:
+        assert list(play.ledger.series["recheck"].observations) == [1.0] * 7
+        for test in range(7):
+            rollout = RolloutId("recheck", test, "nominal", 0)
+            fact = play.journal.rollout(rollout)
+            recorded = read_mcap((play.directory / fact.path).read_bytes()).request
+            assert recorded["within"]
+            assert play.ledger.request_again(rollout).model_dump(mode="json") == recorded
+            assert load_recorded(play.directory, str(rollout)).request.model_dump(mode="json") == recorded
 
 
 EDITS = {
