@@ -12,13 +12,13 @@ from ...schemas.ids import RolloutId
 from ...schemas.result.block_facts import BlockObservationFact, BlockProposalFact
 from ...schemas.result.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
 from ...schemas.trajectory.batch import Batch
+from ...schemas.trajectory.reduced import Scores
 from ...schemas.trajectory.trajectory import Trajectory
 from ...schemas.values import Proposal
 from . import counterexample
 from .assumption_tests import Refutation
 from .methods import Methods
 from .observation import (
-    BatchScores,
     Load,
     Observer,
     Others,
@@ -172,7 +172,7 @@ def scores(observer: Observer, rollout: RolloutId, trajectory: Trajectory) -> tu
         return observer.robustness(trajectory), observer.decided_by_tolerance(trajectory), observer.end(trajectory)
 
 
-def scores_of_batch(observer: Observer, request: BatchRequest, batch: Batch) -> BatchScores:
+def scores_of_batch(observer: Observer, request: BatchRequest, batch: Batch) -> Scores:
     """Return what a `BatchFact` says of the trajectories of a batch; one that cannot be scored has failed."""
     with naming(f"batch {request.rollout}"):
         return observer.scores_of(batch)

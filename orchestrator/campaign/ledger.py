@@ -44,7 +44,7 @@ from .closing.spot_check import SpotCheck
 from .decisions import Decider, Follow, ProblemDecisions, scores
 from .extension import check_extension
 from .methods import methods
-from .observation import BatchScores, Observer
+from .observation import Observer
 from .plan import plans
 from .ports import FactStore, FileStore, Recorded, RecordedRollouts
 from .restoration import Restoration
@@ -64,7 +64,7 @@ class Scored:
     """An admitted batch, with its scores."""
 
     batch: Batch | Reduced
-    scores: BatchScores
+    scores: Scores
 
     @property
     def rollouts(self) -> int:
@@ -376,8 +376,7 @@ def _reduced(kept: Kept, rollout: RolloutId, block: int, found: Scored) -> Reduc
         return found.batch
     if margins is None or places is None:
         return None
-    leaves = Scores(margins, found.scores.by_tolerance, found.scores.ended)
-    return reduced(found.batch, places, leaves, found.scores.failures)
+    return reduced(found.batch, places, found.scores)
 
 
 def _batch_fact(

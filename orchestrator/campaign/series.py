@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ...schemas.base import canonical_json
 from ...schemas.errors import IllegalEvent
+from ...schemas.file.keys import most_kept
 from ...schemas.file.problem_models import KernelProblem
 from ...schemas.ids import RolloutId
 from ...schemas.result.block_facts import (
@@ -291,7 +292,7 @@ class Kept:
     """
 
     def __init__(self, keep: str) -> None:
-        self._most = None if keep in ("all", "failures") else int(keep.removeprefix("worst "))
+        self._most = most_kept(keep)
         self._all = keep == "all"
         self.number = 0
         """Rollouts of closed tests that keep their samples."""
