@@ -81,6 +81,40 @@ def test_workers_and_kills_change_no_byte(started: Processes, tmp_path: Path) ->
     assert "VERIFIED" in checked.out
 
 
+IN_PART = SYSTEM.replace("return a[", "return np.where((len(a) > 1) & (seeds % 7 == 0), np.nan, a)[")
+"""In a batch some rollouts fail, always the same ones, and alone they succeed."""
+
+
+def test_batches_that_fail_in_part_have_one_certificate(started: Processes, tmp_path: Path) -> None:
+    """Neither workers nor kills decide which rollouts are made again, or in which files they are."""
+    campaign = write(tmp_path)
+    campaign.write_text(CAMPAIGN.replace("6000", "2000"))
+    (tmp_path / "drift.py").write_text(IN_PART)
+    assert started.run("perfbound", "run", campaign, "--out", "one", "--workers", "1").code == 0
+    assert started.run("perfbound", "run", campaign, "--out", "three", "--workers", "3").code == 0
+    directory = tmp_path / "killed"
+    run: tuple[str | Path, ...] = ("run", campaign, "--out", directory, "--workers", "2")
+    for goal in (200, 1200):
+        running = started.start("perfbound", *run)
+        wait_for(partial(has_rollouts, directory, goal))
+        running.popen.kill()
+        running.wait()
+        assert not (directory / "certificate.json").exists(), "the kills have to come in mid-run"
+        run = ("resume", directory, "--workers", "2")
+    assert started.run("perfbound", *run).code == 0
+    for name in ("certificate.json", "manifest.sha256"):
+        assert len({(tmp_path / run / name).read_bytes() for run in ("one", "three", "killed")}) == 1
+    again = [path for path in (tmp_path / "one" / "trajectories").rglob("*.1.mcap") if path.stem.count(".") == 4]
+    assert len(again) > 200
+    assert statuses(directory)["reproducible_rollouts"][0] == "refuted"
+    checked = started.run("perfbound", "verify", "one")
+    assert checked.code == 0, checked.out + checked.err
+
+
+def has_rollouts(directory: Path, number: int) -> bool:
+    return recorded(directory) >= number
+
+
 UNIT = SYSTEM.replace("vectorised", "batch_is_the_unit=True, vectorised").replace("return a", "return len(a) + a")
 
 

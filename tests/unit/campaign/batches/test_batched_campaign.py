@@ -302,6 +302,22 @@ def test_a_batch_is_one_file_and_one_fact(tmp_path: Path) -> None:
         assert len(list((tmp_path / "run" / "trajectories").rglob("*.mcap"))) == 4
 
 
+def test_failures_by_chance_change_files_and_what_is_said_of_them_alone(tmp_path: Path) -> None:
+    """Which attempt a retry replaced is evidence: a certificate without that would hide it."""
+    found = []
+    for name, failing in (("a", none), ("b", some)):
+        with played(tmp_path / name, CAMPAIGNS["sample, blocks"], failing=failing) as play:
+            predicate = play.certify().predicate.model_dump(mode="json")
+        del predicate["evidence"]["manifest_sha256"]
+        said = {each["id"]: each for each in predicate.pop("assumptions")}
+        for claim in predicate["claims"]:
+            del claim["refuted"]  # by that assumption
+        found.append((predicate, said))
+    (one, calm), (other, failed) = found
+    assert one == other
+    assert {name for name in calm if calm[name] != failed[name]} == {"reproducible_rollouts"}
+
+
 def test_a_rollout_that_failed_is_made_again_alone(tmp_path: Path) -> None:
     with played(tmp_path / "run", sampled(16), failing=lambda request: [0, 5] if len(request) > 5 else [0]) as play:
         again = [each for each in play.requests if len(each) == 1]
