@@ -1,16 +1,18 @@
 """A recorded rollout: its fact, its file, and its request."""
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import sqlalchemy as sa
 from sqlalchemy import Connection
 
+from ....schemas.base import canonical_json
 from ....schemas.batch import BatchRequest
 from ....schemas.errors import EvidenceError, PerfboundError, one_line
-from ....schemas.ids import RolloutId
+from ....schemas.ids import RECHECK, RolloutId, closing_check
 from ....schemas.result.facts import Header, RolloutFact
-from ....schemas.rollout import RolloutRequest
+from ....schemas.rollout import RolloutRequest, WithinBatch
 from ....schemas.trajectory.trajectory import Trajectory
 from ...store import tables
 from ...store.changes import batch_in, proposal_in, rollouts_in
@@ -53,16 +55,21 @@ def load_recorded(directory: Path, text: str) -> RecordedRollout:
     try:
         file = read_recorded(directory, fact)
     except EvidenceError as error:  # a replay can restore a damaged file
-        batch = read_batch_of(directory, fact).requested if whole and not fact.kept else None
-        return RecordedRollout(header, fact, request, None, str(error), batch)
+        repeated = read_batch_of(directory, fact).requested if whole and not fact.kept else None
+        return RecordedRollout(header, fact, request, None, str(error), repeated)
+    # As its seed, the batch that a recheck repeats.
+    if (within := file.request.get("within")) and closing_check(fact.rollout.problem) == RECHECK:
+        with suppress(ValueError):  # of anyone's file: then it is another request
+            batch = WithinBatch.model_validate_json(canonical_json(within))
+            request = template.request(fact.rollout, x, fact.seed, within=batch)
     # The digest proves that this is the recorded file, not that its worker simulated this request.
     if file.request != request.model_dump(mode="json"):
         raise EvidenceError(
             f"{directory / fact.path}: it belongs to another request than the one that follows from the facts; "
             "check the campaign with `perfbound verify`"
         )
-    batch = read_batch_of(directory, fact).requested if whole else None
-    return RecordedRollout(header, fact, request, file.trajectory, batch=batch)
+    repeated = read_batch_of(directory, fact).requested if whole else None
+    return RecordedRollout(header, fact, request, file.trajectory, batch=repeated)
 
 
 def load_batch(directory: Path, recorded: RecordedRollout) -> list[RecordedRollout]:
