@@ -52,12 +52,14 @@ def inside(directory: Path, relative: str) -> Path:
 class Batch:
     """Files that become durable together: written inside a `with` block, in place at its end, or not at all.
 
-    Used by one thread. Each file is synced in the background while the next one is admitted and written.
+    Used by one thread. Each file but the last is synced in the background while further ones are admitted and written.
     """
 
     def __init__(self) -> None:
         self._written: dict[Path, Path] = {}
         """Places that are still to be filled, and where the files are written beside them."""
+        self._last: Path | None = None
+        """The one that is not synced yet: mostly the only one, for which the way to a thread and back is too long."""
         self._syncing: list[Future[None]] = []
         # Side by side: one after the other, a disk on which 740 files a second become durable took 100.
         self._pool = ThreadPoolExecutor(SYNCING, thread_name_prefix="fsync")
@@ -73,10 +75,13 @@ class Batch:
         partial = self._written[path] = temporary(path)
         with fresh(partial) as file:
             file.write(data)
+        last, self._last = self._last, partial
+        if last is None:
+            return
         try:
-            self._syncing.append(self._pool.submit(sync, partial))
+            self._syncing.append(self._pool.submit(sync, last))
         except RuntimeError:  # the main thread has ended, and another one goes on: Python starts no thread any more
-            sync(partial)
+            sync(last)
 
     def __enter__(self) -> None:
         """Begin with nothing."""
@@ -97,8 +102,11 @@ class Batch:
                 partial.unlink(missing_ok=True)
             self._written.clear()
             self._syncing.clear()
+            self._last = None
 
     def _settle(self) -> None:
+        if self._last is not None:
+            sync(self._last)
         for each in self._syncing:
             each.result()
         # All files are on the disk before the first rename, and all names before the commit of their facts: kill -9 or
@@ -107,7 +115,7 @@ class Batch:
         for path, partial in list(self._written.items()):
             partial.replace(path)
             del self._written[path]
-        for folder in folders:  # one, mostly: the way to a thread and back would take longer than the wait saves
+        for folder in folders:
             sync(folder)
 
 
