@@ -22,6 +22,10 @@ class Model(BaseModel):
     )
 
 
+_CANONICAL = json.JSONEncoder(sort_keys=True, separators=(",", ":"), allow_nan=False)
+"""Made once: a rollout has a dozen such texts, and `json.dumps` makes an encoder for each."""
+
+
 def canonical_json(value: Any) -> str:
     """Return the one JSON text of `value`: sorted keys, no spaces, ASCII, shortest floats.
 
@@ -29,7 +33,7 @@ def canonical_json(value: Any) -> str:
         ValueError: `value` contains a NaN or an infinity.
 
     """
-    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return _CANONICAL.encode(value)
 
 
 def digest(value: Any) -> str:

@@ -10,6 +10,8 @@ must take in the sample that is meant to be there. tau_k is a hundredth of the s
 resolution of float32 there, unless the stamps around are closer together than that: then they are no float32.
 """
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -134,6 +136,12 @@ def uncovered(times: Floats, horizon: float) -> str | None:
     >>> uncovered(np.array([0.1, 8.0]), 8.0)
     'the first row is at t = 0.1 s, and 0 s is requested: begin with the state at the start'
     """
+    return _uncovered(np.asarray(times, dtype=np.float64).tobytes(), horizon)
+
+
+@lru_cache(maxsize=4)  # most rollouts of a system have one grid
+def _uncovered(stamps: bytes, horizon: float) -> str | None:
+    times = np.frombuffer(stamps)
     around, row = slack(times), len(times) - 1
     first, last = float(times[0]), float(times[-1])
     if first > max(around[0], 0.0):

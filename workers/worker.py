@@ -93,7 +93,7 @@ class WorkerProcess:
         self._closed = self._finished = self._dismissed = False
         self._leaving_since: float | None = None
         self._signalled = threading.Event()
-        self._changed = threading.Event()
+        self._urgent = threading.Event()
         specs = {name: each for name, each in usable().items() if isinstance(each, SystemSpec)}
         self._systems = {name: each.digest for name, each in specs.items()}
         self._parts, room = dict[str, tuple[str, ...]](), MOST_PARTS
@@ -112,7 +112,7 @@ class WorkerProcess:
             case Ack():
                 self._outbox.acknowledge((message.rollout, message.attempt))
                 if self._leaving_since is not None:
-                    self._changed.set()  # the next heartbeat asks for the dismissal
+                    self._urgent.set()  # the next heartbeat asks for the dismissal
             case HeartbeatInterval():
                 self._heartbeats.interval = message.seconds
             case Refuse():
@@ -133,7 +133,7 @@ class WorkerProcess:
             self._signalled.set()
         if self._leaving_since is None:
             self._leaving_since = time.monotonic()
-            self._changed.set()
+            self._urgent.set()
             self._inbox.put(None)
 
     def hand_back(self) -> str | None:
@@ -144,7 +144,7 @@ class WorkerProcess:
         self._drop()
         self._outbox.add(assign, "handed_back")
         self._outbox.deliver(RESEND)
-        self._changed.set()
+        self._urgent.set()
         return assign.request.rollout
 
     @property
@@ -178,7 +178,7 @@ class WorkerProcess:
             return end
         finally:
             self._closed = True
-            self._changed.set()
+            self._urgent.set()
             heart.join(timeout=1.0)
 
     def _end(self, abandoned: Callable[[bool], bool]) -> EndOfRun | None:
@@ -203,7 +203,6 @@ class WorkerProcess:
             return
         key = key_of(assign)
         self._progress = (key, 0)
-        self._changed.set()
         cpu, wall = time.process_time(), time.monotonic()
         found = self._run(assign.request, key)
         # A system may turn `Cancelled` into an error of its own, or into a trajectory that ends there.
@@ -257,20 +256,24 @@ class WorkerProcess:
         with self._lock:
             if self._accepted is assign:
                 self._accepted = None
-        self._changed.set()
+        if self._cancelled == key_of(assign):
+            self._urgent.set()  # the orchestrator assigns nothing before it knows that this worker is idle
 
     def _beat(self) -> None:
+        reported = None
         while not self._closed:
-            changed = self._changed.is_set()
-            if changed:  # not cleared otherwise: it may be set between the two lines
-                self._changed.clear()
-            if self._heartbeats.due(at_once=changed or self._leaving_since is not None):
-                self._uplink.report(self._state())
+            urgent = self._urgent.is_set()
+            if urgent:  # not cleared otherwise: it may be set between the two lines
+                self._urgent.clear()
+            current = self._accepted
+            # What begins and ends between two looks needs no heartbeat of its own: its result says that it has ended.
+            if self._heartbeats.due(at_once=urgent or current is not reported or self._leaving_since is not None):
+                self._uplink.report(self._state(current))
+                reported = current
             self._outbox.deliver(RESEND)
-            self._changed.wait(HEARTBEAT)
+            self._urgent.wait(HEARTBEAT)
 
-    def _state(self) -> WorkerState:
-        current = self._accepted
+    def _state(self, current: Assign | AssignBatch | None) -> WorkerState:
         running, step = self._progress  # perhaps of an attempt before the accepted one
         return WorkerState(
             protocol=PROTOCOL,

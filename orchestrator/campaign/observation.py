@@ -53,7 +53,8 @@ class Observer:
         self._parts = {
             each.name: Observer(part, spec) for each, part in zip(config.specifications, parts_of(config), strict=False)
         }
-        self._known: WeakKeyDictionary[Trajectory, dict[Formula, Evaluated]] = WeakKeyDictionary()
+        self._known: WeakKeyDictionary[Trajectory, dict[int, Evaluated]] = WeakKeyDictionary()
+        """By the identity of a formula of this observer: a hash would walk through it, four times a rollout."""
         self._compared: WeakKeyDictionary[Trajectory, WeakKeyDictionary[Trajectory, float]] = WeakKeyDictionary()
 
     @property
@@ -114,9 +115,9 @@ class Observer:
     def _evaluated(self, trajectory: Trajectory, formula: Formula) -> Evaluated:
         # Needed when a rollout is checked, when it is recorded, and when its test is observed.
         known = self._known.setdefault(trajectory, {})
-        if formula not in known:
-            known[formula] = objectives.scored(formula, trajectory, self._after_end)
-        return known[formula]
+        if id(formula) not in known:
+            known[id(formula)] = objectives.scored(formula, trajectory, self._after_end)
+        return known[id(formula)]
 
     def end(self, trajectory: Trajectory) -> float | None:
         """Return when a rollout ended, in s, if that was before the horizon."""

@@ -4,7 +4,7 @@ import getpass
 import os
 import sqlite3
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -69,7 +69,9 @@ class Journal:
         self.attempts = AttemptLog(self._rows, self.session)
         self.commits = CommitTimes()
         """Of the transactions that wrote."""
-        self._seen = _states(directory)
+        # Text, since a Path takes longer than the question, and every transaction asks twice.
+        self._places = str(directory / DATABASE), str(directory / f"{DATABASE}-wal")
+        self._seen = _states(self._places)
 
     @classmethod
     def create(
@@ -207,7 +209,7 @@ class Journal:
 
         SQLite continues from its memory: it would write over the gap, and find it, if at all, after the certificate.
         """
-        now = _states(self.directory)
+        now = _states(self._places)
         for path, (device, inode, size) in self._seen.items():
             if now.get(path, (0, 0, 0))[:2] != (device, inode):
                 raise JournalError(
@@ -244,11 +246,11 @@ def _unlinked(path: Path) -> Path:
     return path
 
 
-def _states(directory: Path) -> dict[Path, tuple[int, int, int]]:
+def _states(paths: Iterable[str]) -> dict[str, tuple[int, int, int]]:
     """Return device, inode and size of the database and its log; while it is open neither gets smaller."""
     # Never by opening them: the close of any descriptor of a file takes the locks of SQLite from this process.
     found = {}
-    for path in (directory / DATABASE, directory / f"{DATABASE}-wal"):
+    for path in paths:
         with suppress(OSError):  # missing
             state = os.stat(path)
             found[path] = (state.st_dev, state.st_ino, state.st_size)

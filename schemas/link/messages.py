@@ -91,7 +91,7 @@ class RunFinished(Model):
 
 
 class HeartbeatInterval(Model):
-    """Send heartbeats at this interval from now on, and one on each change as before.
+    """Send heartbeats at this interval from now on, and one after each change as before.
 
     A worker that does not know this message continues as before, and so does one that gets none.
     """
@@ -104,7 +104,7 @@ Request = Assign | AssignBatch | Cancel | Ack | Refuse | Release | RunFinished |
 
 
 class WorkerState(Model):
-    """Heartbeat: every half second or at the interval that the orchestrator has set, and on change."""
+    """Heartbeat: every half second or at the interval that the orchestrator has set, and soon after a change."""
 
     protocol: ProtocolNumber
     version: Word
@@ -204,7 +204,7 @@ def _validated(adapter: TypeAdapter[T], payload: bytes, most: int = MAX_MESSAGE)
 # as hung. A lost worker is found by its liveliness token, whatever the interval.
 
 HEARTBEAT = 0.5
-"""Seconds between two heartbeats of a worker that got no other interval; it sends one on each change, too."""
+"""Seconds between two heartbeats of a worker that got no other interval, and before one after a change that lasts."""
 MOST = 250
 """Heartbeats of a fleet in a second, some hundredths of a core of the orchestrator; more where h is too short."""
 

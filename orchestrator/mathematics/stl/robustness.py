@@ -15,6 +15,7 @@ min(rho_right(i), min of rho_left(j) over k <= j <= i); in the reading of [ARA] 
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 from . import sliding
 from .grid import Grid, StrictGrid
 from .predicates import Floats, Signals, SignalsOfEach
-from .tree import Always, And, Comparison, Eventually, Formula, Implies, Not, Or, Temporal, Until, walk
+from .tree import REST, Always, And, Comparison, Eventually, Formula, Implies, Not, Or, Temporal, Until, walk
 
 __all__ = ["Evaluated", "EvaluatedEach", "evaluated", "evaluated_each", "margins_at_samples", "robustness"]
 
@@ -86,10 +87,10 @@ def evaluated(tree: Formula, columns: Sequence[str], samples: Floats) -> Evaluat
     [Evaluated(robustness=-1.0, by_tolerance=False), Evaluated(robustness=-1.0, by_tolerance=True)]
 
     """
-    signals, grid = Signals(columns, samples), Grid(samples[:, 0])
+    signals, (grid, strictly) = Signals(columns, samples), _grids(samples[:, 0])
     grid.check(tree)
     value = float(margins_at_samples(tree, signals, grid)[0])
-    strict = _other_reading(tree, grid)
+    strict = _other_reading(tree, grid, strictly)
     return Evaluated(value, by_tolerance=strict is not None and bool(_signs_differ(tree, signals, grid, strict)))
 
 
@@ -122,9 +123,9 @@ def evaluated_each(tree: Formula, columns: Sequence[str], t: Floats, values: Flo
     {1: '`1 / x <= 3` is -inf at sample 1, not a finite number'}
 
     """
-    signals, grid = SignalsOfEach(columns, t, values), Grid(t)
+    signals, (grid, strictly) = SignalsOfEach(columns, t, values), _grids(t)
     grid.check(tree)
-    strict = _other_reading(tree, grid)
+    strict = _other_reading(tree, grid, strictly)
     rollouts = values.shape[1]
     found = EvaluatedEach(np.empty(rollouts), np.zeros(rollouts, dtype=np.bool_), {})
     for part, those in signals.parts(max(AT_ONCE // len(t), 1)):
@@ -137,10 +138,20 @@ def evaluated_each(tree: Formula, columns: Sequence[str], t: Floats, values: Flo
     return found
 
 
-def _other_reading(tree: Formula, grid: Grid) -> StrictGrid | None:
+def _grids(times: Floats) -> tuple[Grid, StrictGrid]:
+    """Return the grid of sample times (T,), and the one without tolerance, with the windows that were found so far."""
+    return _known_grids(np.asarray(times, dtype=np.float64).tobytes())
+
+
+@lru_cache(maxsize=4)  # most rollouts of a system have one grid
+def _known_grids(times: bytes) -> tuple[Grid, StrictGrid]:
+    grid = Grid(np.frombuffer(times))
+    return grid, StrictGrid(grid)
+
+
+def _other_reading(tree: Formula, grid: Grid, strict: StrictGrid) -> StrictGrid | None:
     """Return the grid without tolerance, if some window of `tree` has other samples there."""
-    strict = StrictGrid(grid)
-    intervals = {node.interval for node in walk(tree) if isinstance(node, Temporal)}
+    intervals = {node.interval for node in walk(tree) if isinstance(node, Temporal)} - {REST}
     return None if all(grid.windows(each).are(strict.windows(each)) for each in intervals) else strict
 
 

@@ -33,8 +33,8 @@ from ..service import RunStatus
 
 PERIOD = 2.0
 """Seconds between two files at least."""
-SHARE = 20.0
-"""The audit pauses so many times as long as it took: it uses at most a twentieth of the time."""
+SHARE = 100.0
+"""The audit pauses so many times as long as it took: it uses at most a hundredth of the time."""
 PACE_SPAN = 120.0
 """Seconds over which the rate of a forecast is taken; the whole run where few rollouts end in them."""
 FEW = 20

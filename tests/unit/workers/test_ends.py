@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from types import SimpleNamespace
 
 import pytest
@@ -189,6 +190,23 @@ def test_an_attempt_begins_and_ends_with_a_heartbeat_whatever_the_interval(begun
     running.worker.leave()
     until(lambda: wire.shows(lambda state: state.leaving))
     running.worker.receive(Release())
+
+
+@pytest.mark.integration
+def test_short_rollouts_have_no_heartbeats_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two for each cost the orchestrator as much as its result."""
+    monkeypatch.setattr(module, "run_on", lambda *_: b"")
+    monkeypatch.setattr(module, "requested_system", lambda _: SimpleNamespace(spec=None))
+    monkeypatch.setattr(module, "largest_result", lambda *_: 1)
+    monkeypatch.setattr(module, "HEARTBEAT", PATIENCE)
+    wire = Wire()
+    running = Running(wire)
+    until(lambda: wire.states)
+    for test in range(20):
+        running.worker.receive(an_assign(test))
+        until(partial(lambda before: len(wire.results) > before, test))
+    assert len(wire.states) == 1
+    running.worker.receive(RunFinished())
 
 
 @pytest.mark.integration

@@ -78,7 +78,7 @@ def test_a_worker_serves_what_it_can_use(monkeypatch: pytest.MonkeyPatch) -> Non
     spec = TestFunctionSystem().spec
     monkeypatch.setattr(worker, "usable", lambda: {"segway": bullet.NEEDS, "test-function": spec})
     uplink: Any = SimpleNamespace(orchestrators=list)  # all that it needs before it serves
-    assert worker.WorkerProcess("w", uplink)._state().systems == {"test-function": spec.digest}
+    assert worker.WorkerProcess("w", uplink)._state(None).systems == {"test-function": spec.digest}
 
 
 def test_the_orchestrator_gives_the_reason_where_the_system_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
