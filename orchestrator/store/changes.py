@@ -10,7 +10,13 @@ from sqlalchemy import Connection
 
 from ...schemas.errors import JournalError
 from ...schemas.ranges import within_seconds
-from ...schemas.result.block_facts import BlockObservationFact, BlockProposalFact, each_rollout
+from ...schemas.result.block_facts import (
+    BatchFact,
+    BlockObservationFact,
+    BlockProposalFact,
+    each_rollout,
+    each_violation,
+)
 from ...schemas.result.facts import (
     RECORDED,
     BoundFact,
@@ -205,7 +211,7 @@ class ChangeReader:
             tuple(fact for _, fact in decisions),
             {row.problem: row.number for row in counts},
             of_workers,
-            tuple(fact for row in violations for fact in _rollouts_of(row, self._directory) if fact.violates),
+            tuple(fact for row in violations for fact in _rollouts_of(row, self._directory, each_violation)),
             tuple(_ended_attempt(row) for row in outcomes),
             {row.worker: row.host for row in hosts},
             tuple(Session(*row) for row in sessions),
@@ -273,9 +279,11 @@ def _ended_attempt(row: Any) -> AttemptOutcome:
     return AttemptOutcome(**{name: getattr(row, name) for name in _OUTCOME_FIELDS} | seconds)
 
 
-def _rollouts_of(row: Any, directory: Path) -> tuple[RolloutFact, ...]:
+def _rollouts_of(
+    row: Any, directory: Path, each: Callable[[RolloutFact | BatchFact], Iterator[RolloutFact]] = each_rollout
+) -> tuple[RolloutFact, ...]:
     """Return the rollouts of a row, which may be that of a batch."""
-    return _read(lambda row: tuple(each_rollout(rollout_fact(row))), tables.rollouts.name, row, directory)
+    return _read(lambda row: tuple(each(rollout_fact(row))), tables.rollouts.name, row, directory)
 
 
 def _fact(table: sa.Table, row: Any, directory: Path) -> Any:

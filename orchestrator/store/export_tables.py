@@ -30,7 +30,7 @@ from ...schemas.file.objectives import replicates_are_robustness
 from ...schemas.file.parts import parts_of
 from ...schemas.file.problem_models import Problem
 from ...schemas.ids import RECHECK, RISK_CHECK, SHRINK, SPOT_CHECK, closing_check
-from ...schemas.result.facts import NO_FAILURE, RECORDED, Header, RolloutFact
+from ...schemas.result.facts import NO_FAILURE, RECORDED, Header
 from ...schemas.system import SystemSpec
 from . import tables
 
@@ -80,13 +80,13 @@ def export_table(name: str, header: Header) -> ExportTable:
         case "tests":
             return _tests_table(header)
         case "rollouts":
-            return _rollouts_table(name, header, _ROLLOUTS, lambda _: True)
+            return _rollouts_table(name, header, _ROLLOUTS)
         case "observations":
             return _observations_table(header)
         case "counterexamples":
             # Not of the recheck: it repeats rollouts that are listed.
             violating = _r.robustness < 0, _r.problem.not_like(f"{RECHECK}%")
-            return _rollouts_table(name, header, _ROLLOUTS.where(*violating), lambda fact: fact.violates)
+            return _rollouts_table(name, header, _ROLLOUTS.where(*violating), violating_alone=True)
         case "failures":
             return _failures_table()
         case "opinions":
@@ -191,19 +191,19 @@ _ATTEMPT = (
 )
 
 
-def _rollouts_table(
-    name: str, header: Header, query: sa.Select[Any], wanted: Callable[[RolloutFact], bool]
-) -> ExportTable:
+def _rollouts_table(name: str, header: Header, query: sa.Select[Any], *, violating_alone: bool = False) -> ExportTable:
     import numpy as np  # noqa: PLC0415  (late, as those that follow: other tables are written without it)
 
-    from ...schemas.result.block_facts import each_rollout  # noqa: PLC0415
+    from ...schemas.result.block_facts import each_rollout, each_violation  # noqa: PLC0415
     from .facts import rollout_fact  # noqa: PLC0415
+
+    each = each_violation if violating_alone else each_rollout
 
     def expand(row: Any) -> Iterator[Row]:
         attempt = (row.worker, row.attempts, row.wall_seconds, row.cpu_seconds)
         of_block = row.starts is not None
         starts = np.frombuffer(row.starts).reshape(row.tests, -1).tolist() if of_block else [json.loads(row.x)]
-        for fact in filter(wanted, each_rollout(rollout_fact(row))):
+        for fact in each(rollout_fact(row)):
             which = (str(fact.rollout), *fact.rollout, fact.seed)
             found = (fact.robustness, int(fact.by_tolerance), fact.ended, fact.path, fact.size, fact.sha256)
             yield *which, *starts[fact.rollout.test - row.first], *found, *attempt

@@ -159,17 +159,22 @@ class BatchFact:
         found[[place for place, _ in self.failures]] = False
         return found
 
-    def each(self) -> Iterator[RolloutFact]:
-        """Yield the fact of each rollout that has a trajectory; its sha256 is the digest of the rollout alone."""
+    def each(self, places: Iterable[int] | None = None) -> Iterator[RolloutFact]:
+        """Yield the fact of each rollout that has a trajectory; its sha256 is the digest of the rollout alone.
+
+        With `places` of the rollouts in these places alone.
+        """
+        problem, test, variant, replicate = self.rollout
         robustness = None if self.robustness is None else self.robustness.tolist()
         tolerance, ended = self.by_tolerance.tolist(), self.ended.tolist()
         seeds, succeeded, digests = self.seeds.tolist(), self.succeeded.tolist(), self.digest_column.hex()
         kept = self.kept_column or b"\1" * len(self)
-        for place, rollout in enumerate(self.rollouts):
+        for place in range(len(self)) if places is None else places:
             if succeeded[place]:
+                after, number = divmod(place, self.replicates)
                 sha256 = digests[2 * DIGEST * place : 2 * DIGEST * (place + 1)]
                 yield RolloutFact(
-                    rollout,
+                    RolloutId(problem, test + after, variant, replicate + number),
                     seeds[place],
                     sha256,
                     self.size,
@@ -231,6 +236,13 @@ def places(fact: RolloutFact | BatchFact) -> int:
 def each_rollout(fact: RolloutFact | BatchFact) -> Iterator[RolloutFact]:
     """Yield the fact of each rollout of a batch that has a trajectory, or of one alone."""
     return fact.each() if isinstance(fact, BatchFact) else iter((fact,))
+
+
+def each_violation(fact: RolloutFact | BatchFact) -> Iterator[RolloutFact]:
+    """Yield the fact of each rollout that violates the specification; the others of a batch take no time."""
+    if isinstance(fact, RolloutFact):
+        return iter((fact,) if fact.violates else ())
+    return iter(()) if fact.robustness is None else fact.each(np.flatnonzero(fact.robustness < 0.0).tolist())
 
 
 def each_fact(facts: Iterable[StoredFact]) -> Iterator[Fact]:

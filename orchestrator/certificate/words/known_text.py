@@ -99,7 +99,7 @@ def violations_so_far(found: SoFar) -> str:
     seen = found.violations
     if not seen.rollouts or seen.least is None:
         return ""
-    return f"{violations_in_words(seen)} so far; the worst {margin_words(seen.least, found.unit)}"
+    return f"{violations_in_words(seen)} so far; the worst {margin_words(seen.least, found.unit)}."
 
 
 def so_far_line(found: SoFar) -> str:

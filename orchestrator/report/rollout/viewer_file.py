@@ -5,6 +5,7 @@ from pathlib import Path
 
 from ....schemas.amounts import amount
 from ....schemas.errors import PerfboundError
+from ....schemas.ids import RolloutId
 from ....schemas.ranges import LARGEST_BATCH, MAX_FILE_BYTES
 from ....schemas.trajectory.topics import encode_topics
 from ...certificate.words.format import replay_command
@@ -20,7 +21,10 @@ def viewer_file(directory: Path, names: Sequence[str], *, batches: bool = False)
         PerfboundError: a rollout is not there, has no samples, or they are too many.
 
     """
-    found = {each.fact.rollout: each for name in names for each in _recorded(directory, name, batches=batches)}
+    found: dict[RolloutId, RecordedRollout] = {}
+    for name in dict.fromkeys(names):
+        if name not in map(str, found):  # of a batch that is there, each further name would read the whole of it again
+            found |= {each.fact.rollout: each for each in _recorded(directory, name, batches=batches)}
     header = next(iter(found.values())).header
     shown = {rollout: each.trajectory for rollout, each in found.items() if each.trajectory is not None}
     size = sum(each.samples.nbytes for each in shown.values())

@@ -22,7 +22,9 @@ LEVELS = f"() => {PLOT}.overlay"
 RANGE = f"() => {{ const {{ min, max }} = {PLOT}.plot.scales.y; return [min, max]; }}"
 AXES = f"""() => {{
     const axes = {PLOT}.plot.axes;
-    return [axes[1]._size, axes[1]._values.map(textWidth), axes.map((each) => each._values)];
+    const places = axes[0]._splits.map((value) => {PLOT}.plot.valToPos(value, "x"));
+    const [below, beside] = axes.map((each) => each._values.map(textWidth));
+    return [axes[1]._size, beside, axes.map((each) => each._values), places, Math.max(...below)];
 }}"""
 NAMES = f"() => [gutter({PLOT}.overlay), {PLOT}.overlay.levels.map(({{ label }}) => textWidth(label))]"
 BARE = """() => [...document.querySelectorAll("section.problem figure")]
@@ -110,10 +112,11 @@ def long_numbers(report: page.ReportData) -> page.ReportData:
 
 def test_long_numbers_have_room_and_their_thousands_apart(browser: Browser, tmp_path: Path) -> None:
     with opened(browser, tmp_path, long_numbers(example_reports.charted())) as watch:
-        size, widths, texts = watch.page.evaluate(AXES)
+        size, widths, texts, places, long = watch.page.evaluate(AXES)
         assert size >= 8 + max(widths), "no number is under the label of its axis"
         assert "0.0000075" in texts[1]
-        assert "200,000" in texts[0]
+        assert texts[0][-1] == "1,000,000"
+        assert all(b - a >= long + 8 for a, b in pairwise(places)), "numbers side by side do not touch"
         room, names = watch.page.evaluate(NAMES)
         assert room >= 9 + max(names), "no name of a line is squeezed"
         assert "test 700,000" in watch.page.locator("div.worst").inner_text()

@@ -67,9 +67,14 @@ function chartOptions(host, spec, colours, entry = { overlay: null }) {
     legend: { show: spec.legend !== false },
     scales: { x: { time: false, range: spec.range }, y: { distr: spec.y.log ? 3 : 1, range: entry.overlay?.range ? () => entry.overlay.range : ownRange } },
     padding: entry.overlay ? [18, () => gutter(entry.overlay), null, null] : undefined,
-    axes: [axis({ label: spec.x, size: 30, values: names }), axis({ label: spec.y.label, size: axisWidth, values: names })],
+    axes: [axis({ label: spec.x, size: 30, space: numberSpace, values: names }), axis({ label: spec.y.label, size: axisWidth, values: names })],
     series: [{ label: spec.x, colour: "ink" }, ...spec.series].map((each) => chartSeries(each, colours)),
   };
+}
+
+/** The pixels from one number of a lower axis to the next, at least: more for long ones, which would touch. */
+function numberSpace(plot, k, low, high) {
+  return Math.max(50, 16 + textWidth(num(high)));
 }
 
 /** The width of an axis beside its label, in pixels: more for long numbers, which would be under the label. */

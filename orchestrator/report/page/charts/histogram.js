@@ -18,7 +18,8 @@ function histogramFigure(drawn, id) {
 function drawnCaption(drawn) {
   const lines = drawn.marks.length ? " The lines with letters are the claimed bounds of the list." : "";
   const number = samplesOf({ drawn });
-  return `How often each robustness occurred in the first rollouts at ${count(number)} drawn starts: ${count(drawn.violations)} of them, red, violate${drawn.violations === 1 ? "s" : ""} the specification; the worst is ${quantity(drawn.least, drawn.unit)}, of test ${count(drawn.worst)}.${lines}`;
+  const violating = drawn.violations === 0 ? "none of them violates" : `${count(drawn.violations)} of them, red, violate${drawn.violations === 1 ? "s" : ""}`;
+  return `How often each robustness occurred in the first rollouts at ${count(number)} drawn starts: ${violating} the specification; the worst is ${quantity(drawn.least, drawn.unit)}, of test ${count(drawn.worst)}.${lines}`;
 }
 
 /** Histograms of the robustness of all rollouts of a problem, one for each variant, over one axis. */

@@ -25,6 +25,7 @@ from perfbound.orchestrator.report.collect.violations import ranked_tests, viola
 from perfbound.orchestrator.report.rollout.load import load_recorded
 from perfbound.orchestrator.store import facts as recorded_facts
 from perfbound.orchestrator.store import read
+from perfbound.orchestrator.store.changes import ChangeReader
 from perfbound.orchestrator.store.export import table_rows
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.progress import read_progress
@@ -346,6 +347,10 @@ def test_readers_find_every_rollout_once(tmp_path: Path, failing: Callable[[Batc
     assert [each.rollout for each in ranked_tests(tmp_path / "run", header)] == [
         str(each) for each in (ranked[0], first, ranked[24], ranked[-1])
     ]
+    below_zero = [each for each in recorded_facts.observed_rollouts(tmp_path / "run") if each.violates]
+    assert set(ChangeReader(tmp_path / "run").read().violations) == set(below_zero)
+    _, rows = table_rows(tmp_path / "run", "counterexamples")
+    assert sorted(str(row[0]) for row in rows) == sorted(str(each.rollout) for each in below_zero)
     starts = violating_starts(tmp_path / "run", header)
     assert sorted((each.test, each.worst, each.violations) for each in starts) == [
         (each.test, values[each], 1) for each in sorted(values) if (values[each] or 0.0) < 0
