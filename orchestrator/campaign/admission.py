@@ -23,6 +23,7 @@ from .objectives import measured
 from .observation import Others
 from .plan import UNBOUNDED
 from .series import ROUND_OFF
+from .state import plan_of
 
 T = TypeVar("T")
 
@@ -168,7 +169,7 @@ class Admission:
         """Refuse a batch with a rollout that allows no observation of its test, see `check`."""
         assert isinstance(found.batch, Batch), "a worker reduces none"
         first, series = request.rollouts[0], self._ledger.series[request.problem]
-        block = self._ledger.block_of(first)
+        block = plan_of(self._ledger.state, request.problem).batch_of(first)[0].test
         batches = [fact for fact in series.batches.get(block, ()) if fact.rollout.variant != first.variant]
         facts = [*series.rollouts.get(first.test, ()), *(each for batch in batches for each in batch.each())]
         partners = {fact.rollout: fact for fact in facts}

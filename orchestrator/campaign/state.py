@@ -35,7 +35,6 @@ batch is recorded with the rollouts in it that have failed, and the block waits 
 such a series, and are chosen by its outcomes, have no batches: the first comes after all of it is observed.
 """
 
-import itertools
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -109,7 +108,8 @@ class Plan:
         rollouts = self.rollouts_of(first)
         if self.batch > 1:
             # A batch has one variant, and where it has several tests all their replicates.
-            by_variant = [list(each) for _, each in itertools.groupby(rollouts, key=lambda rollout: rollout[0])]
+            variants = dict.fromkeys(variant for variant, _ in rollouts)
+            by_variant = [[each for each in rollouts if each[0] == variant] for variant in variants]
             rollouts = tuple(rollout for each in by_variant for rollout in each[:: self.batch])
         return tuple(RolloutId(self.problem, first, variant, replicate) for variant, replicate in rollouts)
 

@@ -1,7 +1,7 @@
 """The results of one turn: admitted against their requests, and recorded once the dispatch machine has decided."""
 
 import hashlib
-from collections.abc import Callable, Container, Iterable
+from collections.abc import Callable, Container, Iterable, Iterator
 
 import numpy as np
 
@@ -142,6 +142,16 @@ class Results:
         work = self._ledger.record(rollout, message.payload, found, header.sha256)
         self._journal.attempts.ended(attempt, worker, outcome, header.cpu_seconds, header.wall_seconds)
         return work
+
+    def failed(self, worker: str, attempt: Attempt) -> Iterator[events.Fail]:
+        """Yield the rollouts that have failed in an admitted batch, each as an attempt of its own."""
+        _, found = self._admitted[attempt]
+        if not isinstance(found, Scored):
+            return
+        request = self.request(attempt.rollout)
+        assert isinstance(request, BatchRequest)
+        for place, reason in sorted(found.scores.failures.items()):
+            yield events.Fail(worker, Attempt(request.rollouts[place], attempt.number), Failure("system", reason))
 
     def recorders(self, wanted: Iterable[WorkId]) -> dict[WorkId, str]:
         """Return the worker that recorded the original of each rollout that repeats one."""

@@ -259,6 +259,8 @@ class Service:
             case events.Record(worker, attempt):
                 # With the last damaged file the rollouts come back that were open before a restart.
                 resumed = self._ledger.restores(first_of(attempt.rollout))
+                for failed in self._results.failed(worker, attempt):
+                    self._lines.failed(failed)
                 self._demand(self._results.record(worker, attempt), resumed=resumed)
             case events.Start(worker, attempt):
                 state = self._roster.admitted(worker)

@@ -29,7 +29,7 @@ from ...schemas.file.drawn_claims import PROBABILITIES
 from ...schemas.file.objectives import replicates_are_robustness
 from ...schemas.file.parts import parts_of
 from ...schemas.file.problem_models import Problem
-from ...schemas.ids import RECHECK, RISK_CHECK, SHRINK, SPOT_CHECK, closing_check
+from ...schemas.ids import RECHECK, RISK_CHECK, SHRINK, SPOT_CHECK, FileId, closing_check
 from ...schemas.result.facts import NO_FAILURE, RECORDED, Header
 from ...schemas.system import SystemSpec
 from . import tables
@@ -58,7 +58,7 @@ class ExportTable:
 
     name: str
     columns: tuple[ExportColumn, ...]
-    query: sa.Select[Any]
+    query: sa.Select[Any] | sa.CompoundSelect[Any]
     expand: Callable[[Any], Iterator[Row]]
     """Makes one or several rows of a row of the database."""
 
@@ -226,13 +226,25 @@ _FAILURE = (
 
 
 def _failures_table() -> ExportTable:
-    query = sa.select(tables.outcomes).where(_outcome.outcome.not_in(NO_FAILURE))
     # Outcomes have no sequence number: the order of the rows is that in which they were written.
-    return ExportTable("failures", _FAILURE, query.order_by(sa.literal_column("outcomes.rowid")), _failure_row)
+    entry: sa.Label[int] = sa.literal_column("outcomes.rowid").label("entry")
+    whole = sa.select(entry, tables.outcomes, sa.literal(1).label("replicates"), sa.null().label("failures"))
+    in_batch = sa.select(entry, tables.outcomes, _r.replicates, _r.failures).join(
+        tables.rollouts, (_outcome.rollout == _TRIED) & (_outcome.outcome == RECORDED) & (_r.rollouts < _r.places)
+    )
+    query = whole.where(_outcome.outcome.not_in(NO_FAILURE)).union_all(in_batch).order_by("entry")
+    return ExportTable("failures", _FAILURE, query, _failure_row)
 
 
 def _failure_row(row: Any) -> Iterator[Row]:
-    yield row.rollout, row.attempt, row.worker, row.kind, row.outcome, row.ended
+    if row.failures is None:
+        yield row.rollout, row.attempt, row.worker, row.kind, row.outcome, row.ended
+        return
+    first = FileId.parse(row.rollout).rollout
+    for place, reason in json.loads(row.failures):
+        test, number = divmod(place, row.replicates)
+        rollout = first._replace(test=first.test + test, replicate=first.replicate + number)
+        yield str(rollout), row.attempt, row.worker, "system", reason, row.ended
 
 
 # opinions, set_aside

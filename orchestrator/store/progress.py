@@ -61,6 +61,7 @@ beside max(...) is that of its row: an extension of SQLite.
 _FAILURES = "SELECT count(*) FROM outcomes WHERE outcome NOT IN (?, ?, ?)"
 _HANDED_BACK = "SELECT count(*) FROM outcomes WHERE outcome = ?"
 _SYSTEM_FAILURES = "SELECT count(*) FROM outcomes WHERE kind = 'system'"
+_FAILED_IN_BATCHES = "SELECT coalesce(sum(places - rollouts), 0) FROM rollouts"
 _RECENT = "SELECT ended FROM outcomes WHERE outcome = ? ORDER BY rowid DESC LIMIT ?"
 _SET_ASIDE = """
     SELECT kind, name, sum(seconds > 0), max(at), seconds, session = (SELECT max(session) FROM sessions) FROM set_aside
@@ -95,6 +96,7 @@ class CampaignProgress:
     workers: tuple[tuple[str, int, float], ...]
     """(worker, rollouts recorded, Unix time of the last one)."""
     failures: int
+    """Attempts without a result; a rollout that failed in its batch is one of its own."""
     system_failures: int
     """Failures of the system among them."""
     handed_back: int
@@ -172,6 +174,8 @@ def _campaign_progress(connection: sqlite3.Connection, directory: Path) -> Campa
     rollouts = {str(row[0]): int(row[1]) for row in connection.execute(_ROLLOUTS)}
     extended = _last_extensions(connection)
     last = {str(row.problem): row for row in _named(connection.execute(_LAST_BOUNDS))}
+    # Without batches no rollout is among others, and a million of them take long to look up.
+    in_batches = 0 if header.config.batch == 1 else int(connection.execute(_FAILED_IN_BATCHES).fetchone()[0])
     return CampaignProgress(
         header,
         tuple(
@@ -182,8 +186,8 @@ def _campaign_progress(connection: sqlite3.Connection, directory: Path) -> Campa
             for each in header.config.problems
         ),
         _workers(connection, blocks=header.config.batch > 1),
-        int(connection.execute(_FAILURES, NO_FAILURE).fetchone()[0]),
-        int(connection.execute(_SYSTEM_FAILURES).fetchone()[0]),
+        int(connection.execute(_FAILURES, NO_FAILURE).fetchone()[0]) + in_batches,
+        int(connection.execute(_SYSTEM_FAILURES).fetchone()[0]) + in_batches,
         int(connection.execute(_HANDED_BACK, [HANDED_BACK]).fetchone()[0]),
         len(started),
         max(started, default=0.0),

@@ -22,6 +22,7 @@ from perfbound.orchestrator.run.collision import PoisonedError
 from perfbound.orchestrator.run.service import RunStatus
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.export import table_rows
+from perfbound.orchestrator.store.progress import read_progress
 from perfbound.orchestrator.store.rows import DATABASE, work_name
 from perfbound.schemas.errors import PerfboundError, Stopped
 from perfbound.schemas.file.config import CampaignConfig
@@ -219,7 +220,8 @@ def test_a_batch_that_fails_as_a_whole_ends_the_campaign_and_no_rollout_is_blame
 
     directory = tmp_path / "run"
     begin(directory, a_config())
-    refused = pytest.raises(PoisonedError, match=r"^batch robustness\.\d+\.true\.0\.\d+ failed 2 times")
+    # A failure that sets its worker aside does not count.
+    refused = pytest.raises(PoisonedError, match=r"^batch robustness\.\d+\.true\.0\.\d+ failed [23] times")
     with Network() as network, working(network, run_of(directory), [Failing, Failing]), refused as error:
         serve(directory, network, Log())
     assert error.value.request is None
@@ -239,6 +241,24 @@ def test_what_is_under_way_or_waits_is_counted_in_rollouts(tmp_path: Path) -> No
 
 
 # Second opinions
+
+
+def test_each_rollout_that_fails_in_its_batch_is_said_and_listed(tmp_path: Path) -> None:
+    directory, log = tmp_path / "run", Log()
+    begin(directory, a_config())
+    flaky: Wrap = lambda uplink: Altering(uplink, losing(2, 5), batches=2)  # noqa: E731
+    with Network() as network, working(network, run_of(directory), [flaky]):
+        serve(directory, network, log)
+    lines = [line for line in log.lines if "system failure: it diverged" in line]
+    names = [line.split(",")[0] for line in lines]
+    assert len(names) == 2
+    columns, rows = table_rows(directory, "failures")
+    listed = [dict(zip((each.name for each in columns), row, strict=True)) for row in rows]
+    assert [(each["rollout"], each["kind"], each["reason"]) for each in listed if each["reason"] == "it diverged"] == [
+        (name, "system", "it diverged") for name in names
+    ]
+    progress = read_progress(directory)
+    assert (progress.failures, progress.system_failures) == (len(listed), len(listed))
 
 
 @pytest.mark.rest

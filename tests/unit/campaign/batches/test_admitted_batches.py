@@ -15,10 +15,11 @@ from perfbound.schemas.batch import BatchRequest
 from perfbound.schemas.errors import UnusableTrajectoryError
 from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.ids import RolloutId
+from perfbound.schemas.result.block_facts import BatchFact
 from perfbound.workers.batch import run_on
 from perfbound.workers.systems.base import SystemUnderTest
 from tests.fakes.finished import KERNEL
-from tests.unit.campaign.batches.test_batched_campaign import Play, config, none
+from tests.unit.campaign.batches.test_batched_campaign import Play, checked, config, none
 
 BOX = {"z": {"low": 0.0, "high": 9.0}}
 
@@ -99,6 +100,19 @@ def test_the_batches_of_a_pair_have_one_grid(tmp_path: Path, *, within_a_test: b
                 continue
             with pytest.raises(UnusableTrajectoryError, match=r"objective of sim_gap\.0\.true\.0 .* one time grid"):
                 admitted(play, true)
+
+
+@pytest.mark.parametrize("within_a_test", [False, True])
+def test_replicates_of_two_variants_are_in_one_batch_each(tmp_path: Path, *, within_a_test: bool) -> None:
+    chosen = gaps(within_a_test=within_a_test, system={"name": "pair"}, replicates=2)
+    with begun(tmp_path / "run", chosen, pair) as (play, wanted):
+        play.play()
+        facts = [fact for fact in play.journal.recorded() if isinstance(fact, BatchFact)]
+        rollouts = [rollout for fact in facts for rollout in fact.rollouts if rollout.problem == "sim_gap"]
+        assert len(wanted) <= len(facts) < len(rollouts) / 2
+        assert sorted(rollouts) == sorted(set(rollouts))
+        play.certify()
+    assert [line.detail for line in checked(tmp_path / "run").lines() if line.status == "failed"] == []
 
 
 def test_a_value_that_is_too_large_to_be_bounded_is_a_failure(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from perfbound.orchestrator.certificate.issue import issue, manifest
 from perfbound.orchestrator.certificate.verify.resimulate import Resimulation, finding
 from perfbound.orchestrator.certificate.verify.run import verify_certificate
 from perfbound.orchestrator.report.collect.campaign import Collector
+from perfbound.orchestrator.report.collect.fresh_starts import FreshStarts
 from perfbound.orchestrator.report.collect.violations import ranked_tests, violating_starts
 from perfbound.orchestrator.report.rollout.load import load_recorded
 from perfbound.orchestrator.store import facts as recorded_facts
@@ -355,6 +356,18 @@ def test_readers_find_every_rollout_once(tmp_path: Path, failing: Callable[[Batc
     assert sorted((each.test, each.worst, each.violations) for each in starts) == [
         (each.test, values[each], 1) for each in sorted(values) if (values[each] or 0.0) < 0
     ]
+
+
+def test_the_report_finds_the_fresh_starts_of_blocks(tmp_path: Path) -> None:
+    found = FreshStarts()
+    with played(tmp_path / "run", CAMPAIGNS["spot check, blocks of replicates"], failing=some) as play:
+        for fact in play.journal.facts():
+            found.add(fact)
+        starts, first = found.latest()
+        check, series = play.ledger.closing.spot_check, play.ledger.series["spot_check"]
+        assert check is not None
+        assert starts == dict(enumerate(check.starts))
+        assert first == dict(enumerate(series.each[: len(starts)]))
 
 
 def test_the_course_of_a_bound_is_the_same_from_the_database(tmp_path: Path) -> None:
