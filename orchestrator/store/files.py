@@ -52,14 +52,15 @@ def inside(directory: Path, relative: str) -> Path:
 class Batch:
     """Files that become durable together: written inside a `with` block, in place at its end, or not at all.
 
-    Used by one thread. Each file but the last is synced in the background while further ones are admitted and written.
+    Used by one thread. Each file but the last is synced in the background while further ones are admitted and written;
+    mostly there is one, for which the way to a thread and back is too long.
     """
 
     def __init__(self) -> None:
         self._written: dict[Path, Path] = {}
         """Places that are still to be filled, and where the files are written beside them."""
         self._last: Path | None = None
-        """The one that is not synced yet: mostly the only one, for which the way to a thread and back is too long."""
+        """The place of the one that is not synced yet."""
         self._syncing: list[Future[None]] = []
         # Side by side: one after the other, a disk on which 740 files a second become durable took 100.
         self._pool = ThreadPoolExecutor(SYNCING, thread_name_prefix="fsync")
@@ -72,16 +73,18 @@ class Batch:
 
         """
         make_folder(path.parent)
-        partial = self._written[path] = temporary(path)
+        if self._last is not None:
+            self._sync_in_background(self._written[self._last])
+        self._last, partial = path, temporary(path)
+        self._written[path] = partial
         with fresh(partial) as file:
             file.write(data)
-        last, self._last = self._last, partial
-        if last is None:
-            return
+
+    def _sync_in_background(self, partial: Path) -> None:
         try:
-            self._syncing.append(self._pool.submit(sync, last))
+            self._syncing.append(self._pool.submit(sync, partial))
         except RuntimeError:  # the main thread has ended, and another one goes on: Python starts no thread any more
-            sync(last)
+            sync(partial)
 
     def __enter__(self) -> None:
         """Begin with nothing."""
@@ -105,16 +108,18 @@ class Batch:
             self._last = None
 
     def _settle(self) -> None:
-        if self._last is not None:
-            sync(self._last)
+        # All files and names are on the disk before the commit of their facts: kill -9 or a power cut between two lines
+        # leaves files without facts, whole or not, which a resume sweeps, never facts without files.
         for each in self._syncing:
             each.result()
-        # All files are on the disk before the first rename, and all names before the commit of their facts: kill -9 or
-        # a power cut between two lines leaves files without facts, which a resume sweeps, never facts without files.
         folders = {path.parent for path in self._written}
         for path, partial in list(self._written.items()):
             partial.replace(path)
             del self._written[path]
+        if self._last is not None:
+            # After the renames: a file system with a journal has the names on the disk as well then, and the folder,
+            # which others need, costs no second wait.
+            sync(self._last)
         for folder in folders:
             sync(folder)
 
