@@ -14,12 +14,12 @@ from ...schemas.ids import RolloutId
 from ...schemas.instants import uncovered
 from ...schemas.rollout import RolloutRequest
 from ...schemas.trajectory.batch import Batch, BatchFile, read_batch
-from ...schemas.trajectory.reduced import Reduced, read_stored
+from ...schemas.trajectory.reduced import Reduced, Scores, read_stored
 from ...schemas.trajectory.trajectory import Trajectory, read_canonical
 from .decisions import scores_of_batch
 from .ledger import Ledger, Scored
 from .objectives import measured
-from .observation import BatchScores, Others
+from .observation import Others
 from .plan import UNBOUNDED
 from .series import ROUND_OFF
 
@@ -159,10 +159,7 @@ class Admission:
         if self._ledger.restores(rollout):
             return found, "same"
         # Its partner may come in another batch, and needs the same grid.
-        paired = (
-            rollout.problem in self._ledger.plans and self._ledger.plans[rollout.problem].objective.measured == "gap"
-        )
-        return found, "first of a pair" if paired else "alone"
+        return found, "first of a pair" if self._ledger.batched(rollout.problem).has_pairs else "alone"
 
     def _others(self, rollout: RolloutId, key: tuple[str, int]) -> list[Trajectory]:
         facts = self._ledger.series[rollout.problem].rollouts.get(rollout.test, ())
@@ -183,7 +180,7 @@ def scored(ledger: Ledger, request: BatchRequest, batch: Batch | Reduced) -> Sco
     """
     if isinstance(batch, Reduced):
         _check_scores(ledger, request, batch)
-        return Scored(batch, BatchScores(*batch.scores, dict(batch.failures)))
+        return Scored(batch, batch.scores)
     found, spec = scores_of_batch(ledger.observer, request, batch), ledger.header.spec
     if len(found.failures) == len(batch):
         raise UnusableTrajectoryError(next(iter(found.failures.values())))
@@ -196,21 +193,21 @@ def scored(ledger: Ledger, request: BatchRequest, batch: Batch | Reduced) -> Sco
 
 def _check_scores(ledger: Ledger, request: BatchRequest, batch: Reduced) -> None:
     """Refuse scores that no rollout has, or that are not those of the samples that were kept."""
-    low, high = ledger.config.clip or UNBOUNDED
-    robustness = batch.scores.robustness[batch.succeeded]
+    (low, high), scores = ledger.config.clip or UNBOUNDED, batch.scores
+    assert scores.robustness is not None, "no other batch is reduced"
+    robustness = scores.robustness[batch.succeeded]
     if ((robustness < low) | (robustness > high)).any():
         raise UnusableTrajectoryError(f"a robustness is not in the clip [{low:g}, {high:g}]")
     if (samples := batch.samples) is None:
         return
     places = list(batch.kept)
     found = scores_of_batch(ledger.observer, request, samples)
-    scores = batch.scores
-    recorded = BatchScores(scores.robustness[places], scores.by_tolerance[places], scores.ended[places], {})
+    recorded = Scores(scores.robustness[places], scores.by_tolerance[places], scores.ended[places], {})
     if (place := _differing(found, recorded)) is not None:
         raise UnusableTrajectoryError(f"rollout {places[place]} has other scores than its samples give")
 
 
-def _differing(one: BatchScores, other: BatchScores) -> int | None:
+def _differing(one: Scores, other: Scores) -> int | None:
     """Return the first rollout whose scores differ in two batches; None where they agree up to round-off."""
     same = (one.by_tolerance == other.by_tolerance) & np.isclose(one.ended, other.ended, equal_nan=True)
     if one.robustness is not None and other.robustness is not None:

@@ -4,7 +4,10 @@ Every function is pure: of the plan alone before the start, of the plan and the 
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ...schemas.file.objectives import OBJECTIVES, replicates_are_robustness
 from ...schemas.file.problem_models import KernelProblem, PaperProblem, Problem, RigorousProblem
@@ -57,7 +60,7 @@ def of_plan(plan: ProblemPlan, spec: SystemSpec) -> Iterator[str]:
 
 
 def of_tests(
-    plan: ProblemPlan, y: Sequence[float], each: Sequence[Sequence[float]], robustness: Sequence[float]
+    plan: ProblemPlan, y: Sequence[float], each: Iterable[Sequence[float]], robustness: Sequence[float]
 ) -> dict[str, str]:
     """Return a line for every key whose constant contradicts the closed tests of a problem.
 
@@ -66,21 +69,21 @@ def of_tests(
     found: dict[str, str] = {}
     if len(robustness) >= FEWEST:
         found |= _clip(plan, robustness)
-    if isinstance(plan.problem, KernelProblem) and y:
+    if isinstance(plan.problem, KernelProblem) and len(y):
         found |= _norm(plan, plan.problem, y)
-    if isinstance(plan.problem, PaperProblem | RigorousProblem) and y:
+    if isinstance(plan.problem, PaperProblem | RigorousProblem) and len(y):
         found |= _noise(plan, plan.problem, each)
     return found
 
 
-def robustness_of(problem: Problem, each: Sequence[Sequence[float]]) -> list[float]:
-    """Return the clipped robustness of the rollouts from the replicates of the tests, where these have it."""
-    objective, values = OBJECTIVES[problem.name], [value for of_test in each for value in of_test]
+def robustness_of(problem: Problem, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the clipped robustness of the rollouts (n,) from the values of replicates; empty where these have none."""
+    objective = OBJECTIVES[problem.name]
     if objective.measured != "robustness":
-        return []
+        return np.empty(0)
     if replicates_are_robustness(problem.name, problem.method):
         return values
-    return [] if objective.risk else [-value for value in values]  # a linearised risk is no robustness
+    return np.empty(0) if objective.risk else -values  # a linearised risk is no robustness
 
 
 def _clip(plan: ProblemPlan, robustness: Sequence[float]) -> dict[str, str]:
@@ -110,8 +113,9 @@ def _norm(plan: ProblemPlan, problem: KernelProblem, y: Sequence[float]) -> dict
 
 
 def _noise(
-    plan: ProblemPlan, problem: PaperProblem | RigorousProblem, each: Sequence[Sequence[float]]
+    plan: ProblemPlan, problem: PaperProblem | RigorousProblem, values: Iterable[Sequence[float]]
 ) -> dict[str, str]:
+    each = list(values)
     # The paper's risk is no mean of its replicates: their spread is not that of its noise.
     mean = not (problem.method == "paper" and plan.objective.risk)
     if not mean or plan.noise == 0 or sum(map(len, each)) < FEWEST:

@@ -12,13 +12,13 @@ from ...schemas.ids import RolloutId
 from ...schemas.result.block_facts import BlockObservationFact, BlockProposalFact
 from ...schemas.result.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
 from ...schemas.trajectory.batch import Batch
+from ...schemas.trajectory.reduced import Scores
 from ...schemas.trajectory.trajectory import Trajectory
 from ...schemas.values import Proposal
 from . import counterexample
 from .assumption_tests import Refutation
 from .methods import Methods
 from .observation import (
-    BatchScores,
     Load,
     Observer,
     Others,
@@ -109,6 +109,11 @@ class ProblemDecisions:
         self._observer.check(self._plan, rollout[2:], trajectory, others)
 
     @property
+    def has_pairs(self) -> bool:
+        """Whether rollouts of a test are compared with one another."""
+        return self._plan.objective.measured == "gap"
+
+    @property
     def needs_scores_alone(self) -> bool:
         """Whether an observation follows from the recorded scores of its rollouts."""
         return is_robustness(self._plan)
@@ -167,7 +172,7 @@ def scores(observer: Observer, rollout: RolloutId, trajectory: Trajectory) -> tu
         return observer.robustness(trajectory), observer.decided_by_tolerance(trajectory), observer.end(trajectory)
 
 
-def scores_of_batch(observer: Observer, request: BatchRequest, batch: Batch) -> BatchScores:
+def scores_of_batch(observer: Observer, request: BatchRequest, batch: Batch) -> Scores:
     """Return what a `BatchFact` says of the trajectories of a batch; one that cannot be scored has failed."""
     with naming(f"batch {request.rollout}"):
         return observer.scores_of(batch)

@@ -5,7 +5,7 @@ Every fact takes one way, live, in a replay and in `verify`: `_apply`. Live, it 
 
 import hashlib
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -40,10 +40,11 @@ from ...schemas.trajectory.trajectory import Trajectory
 from ..store import files as evidence
 from . import state
 from .closing.checks import ClosingChecks
+from .closing.spot_check import SpotCheck
 from .decisions import Decider, Follow, ProblemDecisions, scores
 from .extension import check_extension
 from .methods import methods
-from .observation import BatchScores, Observer
+from .observation import Observer
 from .plan import plans
 from .ports import FactStore, FileStore, Recorded, RecordedRollouts
 from .restoration import Restoration
@@ -63,7 +64,7 @@ class Scored:
     """An admitted batch, with its scores."""
 
     batch: Batch | Reduced
-    scores: BatchScores
+    scores: Scores
 
     @property
     def rollouts(self) -> int:
@@ -97,11 +98,10 @@ class Ledger:
         """The accounts of the problems, then the closing checks that have begun."""
         self.state = state.initial(tuple(each.machine for each in self.plans.values()))
         self.observer = Observer(header.config, header.spec)
-        self._problems = {
+        self.deciders: dict[str, Decider] = {
             name: ProblemDecisions(account, header, self.methods, self.observer, follow)
             for name, account in self.accounts.items()
         }
-        self.deciders: dict[str, Decider] = dict(self._problems)
         self._directory, self._store = directory, store
         self.recorded = Recorded(directory, store)
         self.closing = ClosingChecks(header, self.accounts, self.methods, self.observer, self.recorded)
@@ -178,35 +178,37 @@ class Ledger:
         return found
 
     def _requested(self, rollout: RolloutId) -> RolloutRequest | BatchRequest:
-        decider, damaged = self.deciders[rollout.problem], self._restoration.batch(rollout)
-        if damaged is not None:
+        if (damaged := self._restoration.batch(rollout)) is not None:
             return batch_request(self._template, rollout, self._restoration.starts(damaged), damaged.seeds.tolist())
         series, plan = self.series[rollout.problem], state.plan_of(self.state, rollout.problem)
         if plan.batch == 1 or rollout in self._restoration:
             fact = series.proposals.get(rollout.test)
             # A damaged file may belong to a closed test, of which the series keeps sums alone.
-            start = fact.proposal.x if fact else self._restoration.start(rollout)
-            original = self.closing.original(rollout)
-            within = None if original is None else self.recorded.within(original)
-            return self._template.request(rollout, start, decider.seed(rollout), within=within)
+            return self._alone(rollout, fact.proposal.x if fact else self._restoration.start(rollout))
         first, tests, replicates = plan.batch_of(rollout)
         if first != rollout or series.has_begun(
             first, replicates
         ):  # it has failed in its batch, and is made again alone
             tests = replicates = 1
         starts = series.starts(rollout.test, tests)
-        seeds = self._of(rollout).seeds(rollout, tests, replicates)
+        seeds = self.batched(rollout.problem).seeds(rollout, tests, replicates)
         return batch_request(self._template, rollout, starts, seeds)
+
+    def _alone(self, rollout: RolloutId, start: Sequence[float]) -> RolloutRequest:
+        original = self.closing.original(rollout)
+        within = None if original is None else self.recorded.within(original)
+        return self._template.request(rollout, start, self.deciders[rollout.problem].seed(rollout), within=within)
 
     def request_again(self, work: WorkId) -> RolloutRequest | BatchRequest:
         """Return the request for a rollout or a batch of any test, which may be closed; in or outside a transaction."""
         first = first_of(work)
         if not isinstance(work, FileId):
-            return self._template.request(first, self.recorded.start(first), self.deciders[first.problem].seed(first))
+            return self._alone(first, self.recorded.start(first))
         replicates = min(work.places, state.plan_of(self.state, first.problem).replicates_of(first))
         tests = work.places // replicates
         starts = [self.recorded.start(first._replace(test=first.test + each)) for each in range(tests)]
-        return batch_request(self._template, first, starts, self._of(first).seeds(first, tests, replicates))
+        seeds = self.batched(first.problem).seeds(first, tests, replicates)
+        return batch_request(self._template, first, starts, seeds)
 
     def restores(self, rollout: RolloutId) -> bool:
         """Whether this rollout has been recorded, and only its file is wanted again."""
@@ -235,7 +237,7 @@ class Ledger:
         if isinstance(found, Scored):
             assert isinstance(request, BatchRequest)
             block = state.plan_of(self.state, rollout.problem).batch_of(rollout)[0].test
-            if (left := _reduced(self.accounts[rollout.problem].kept, rollout, block, found)) is not None:
+            if (left := _reduced(self.series[rollout.problem].kept, rollout, block, found)) is not None:
                 payload = encode_reduced(left, request=request.model_dump(mode="json"), metadata=request.metadata)
                 sha256, found = hashlib.sha256(payload).hexdigest(), replace(found, batch=left)
             fact: RolloutFact | BatchFact = _batch_fact(rollout, block, request, found, (sha256, len(payload), path))
@@ -247,13 +249,16 @@ class Ledger:
         # Its test is observed as soon as the other rollouts of it are there: it is not read back from the disk.
         if not isinstance(found, Scored):
             self.recorded.keep(rollout, found)
-        elif isinstance(found.batch, Batch) and not self._of(rollout).needs_scores_alone:
+        elif isinstance(found.batch, Batch) and not self.batched(rollout.problem).needs_scores_alone:
             assert isinstance(fact, BatchFact)
             self.recorded.keep_batch(fact, found.batch)
         return self._advance(self._write(fact))
 
-    def _of(self, rollout: RolloutId) -> ProblemDecisions:
-        return self._problems[rollout.problem]
+    def batched(self, name: str) -> ProblemDecisions | SpotCheck:
+        """Return the decider of a series that has batches."""
+        found = self.deciders[name]
+        assert isinstance(found, ProblemDecisions | SpotCheck), "no other series has batches"
+        return found
 
     def _advance(self, actions: Iterable[state.Action]) -> Work:
         """Carry out actions and those that follow from them, until only simulations are left."""
@@ -278,24 +283,24 @@ class Ledger:
         plan, series = state.plan_of(self.state, name), self.series[name]
         if plan.block == 1:
             return self.deciders[name].proposal(series, test)
-        return self._problems[name].block(series, plan.tests_of(test))
+        return self.batched(name).block(series, plan.tests_of(test))
 
     def _observe(self, name: str, test: int) -> tuple[state.Action, ...]:
-        series, plan = self.series[name], state.plan_of(self.state, name)
+        series, decider = self.series[name], self.deciders[name]
         if test in series.blocks:
             batches = series.batches[test]
-            self._write(self._problems[name].observed_block(series, test, self.recorded.batch))
+            self._write(self.batched(name).observed_block(series, test, self.recorded.batch))
             self.recorded.drop(each.sha256 for each in batches)
             assert series.due is not None
             return self._write(series.due)
         # By id: the order of arrival depends on the workers, and an observation must not.
         facts = sorted(series.rollouts[test], key=lambda fact: fact.rollout)
-        if plan.batch > 1 and self._problems[name].needs_scores_alone:
-            self._write(self._problems[name].observed_scores(series, test, facts))
+        if self.config.batch > 1 and isinstance(decider, ProblemDecisions) and decider.needs_scores_alone:
+            self._write(decider.observed_scores(series, test, facts))
         else:
             trajectories = {fact.rollout[2:]: self.recorded.take(fact) for fact in facts}
             self.recorded.drop({fact.batch for fact in facts})
-            self._write(self.deciders[name].observation(series, test, trajectories))
+            self._write(decider.observation(series, test, trajectories))
         assert series.due is not None
         return self._write(series.due)
 
@@ -314,7 +319,7 @@ class Ledger:
             case BlockObservationFact(problem):
                 series = self.series[problem]
                 series.observe_block(fact)
-                series.due = self._problems[problem].bound(series, fact)
+                series.due = self.batched(problem).bound(series, fact)
                 return ()
             case ProposalFact(problem, test) | BlockProposalFact(problem, test):
                 self.series[problem].propose(fact)
@@ -371,8 +376,7 @@ def _reduced(kept: Kept, rollout: RolloutId, block: int, found: Scored) -> Reduc
         return found.batch
     if margins is None or places is None:
         return None
-    leaves = Scores(margins, found.scores.by_tolerance, found.scores.ended)
-    return reduced(found.batch, places, leaves, found.scores.failures)
+    return reduced(found.batch, places, found.scores)
 
 
 def _batch_fact(

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -18,6 +17,7 @@ from ...schemas.result.facts import RolloutFact
 from ...schemas.system import SystemSpec
 from ...schemas.trajectory.batch import Batch
 from ...schemas.trajectory.early_end import end_of
+from ...schemas.trajectory.reduced import Scores
 from ...schemas.trajectory.trajectory import Trajectory
 from ...schemas.values import Observation
 from ..mathematics.bounds.one_law.risk import linearised
@@ -32,19 +32,6 @@ Trajectories = Mapping[tuple[str, int], Trajectory]
 """(variant, replicate) -> trajectory of one test."""
 Others = Callable[[tuple[str, int]], Iterable[Trajectory]]
 """(variant, replicate) -> the trajectories of the same test that are there for it."""
-
-
-class BatchScores(NamedTuple):
-    """What is recorded of the trajectories of a batch."""
-
-    robustness: Floats | None
-    """Shape (R,), clipped, NaN for a failed rollout; None for a campaign that measures none."""
-    by_tolerance: NDArray[np.bool_]
-    """Whether the tolerance of the time stamps could decide a sign, shape (R,)."""
-    ended: Floats
-    """When each rollout ended before the horizon, in s, shape (R,); NaN for one that did not."""
-    failures: dict[int, str]
-    """Place and reason of each rollout without a score, those without a trajectory included."""
 
 
 class Observer:
@@ -93,7 +80,7 @@ class Observer:
         formulas = ([] if self._parsed is None else [self._parsed]) + self._requirements
         return any(self._evaluated(trajectory, each).by_tolerance for each in formulas)
 
-    def scores_of(self, batch: Batch) -> BatchScores:
+    def scores_of(self, batch: Batch) -> Scores:
         """Return the scores of a batch: of each rollout those that it has alone."""
         failures = dict(batch.failures)
         by_tolerance = np.zeros(len(batch), dtype=np.bool_)
@@ -123,7 +110,7 @@ class Observer:
         by_tolerance[failed], ended[failed] = False, math.nan
         if robustness is not None:
             robustness[failed] = math.nan
-        return BatchScores(robustness, by_tolerance, ended, failures)
+        return Scores(robustness, by_tolerance, ended, failures)
 
     def _evaluated(self, trajectory: Trajectory, formula: Formula) -> Evaluated:
         # Needed when a rollout is checked, when it is recorded, and when its test is observed.
@@ -284,7 +271,7 @@ def observed_block(
     """
     if is_robustness(plan):
         return _of_robustness(plan, _by_test(tests, batches))
-    rows = [observer.observe(plan, each) for each in _trajectories(tests, batches, load)]
+    rows = [observer.observe(plan, each) for each in block_trajectories(tests, batches, load)]
     return np.array([row.y for row in rows]), np.array([row.each for row in rows])
 
 
@@ -339,7 +326,8 @@ def _by_test(tests: int, batches: Sequence[BatchFact]) -> Floats:
     return found
 
 
-def _trajectories(tests: int, batches: Sequence[BatchFact], load: Load) -> list[dict[tuple[str, int], Trajectory]]:
+def block_trajectories(tests: int, batches: Sequence[BatchFact], load: Load) -> list[Trajectories]:
+    """Return the trajectories of each test of a block of so many, from its batches."""
     first = min(batch.rollout.test for batch in batches)
     found: list[dict[RolloutId, Trajectory]] = [{} for _ in range(tests)]
     for batch in batches:

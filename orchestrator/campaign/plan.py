@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
@@ -104,10 +104,7 @@ class ProblemPlan:
     @property
     def machine(self) -> state.Plan:
         """What the campaign machine needs of it."""
-        block = 1
-        if self.batch > 1 and self.is_planned:
-            replicates = max(Counter(variant for variant, _ in self.rollouts).values())
-            block = max(1, min(self.batch // replicates, MOST_NUMBERS // len(self.parameters)))
+        block = block_size(self.batch, self.rollouts, len(self.parameters)) if self.is_planned else 1
         window = self.window if block == 1 else max(1, min(PLANNED_BLOCKS, self.window))
         return state.Plan(self.name, window, self.budget, self.rollouts, batch=self.batch, block=block)
 
@@ -196,6 +193,16 @@ class ProblemPlan:
         """Return the (nominal, true) rollouts of a gap that one rollout of a test is part of."""
         served = range(self.replicates) if variant in self.shared else (replicate,)
         return [(self.replicate("nominal", each), self.replicate("true", each)) for each in served]
+
+
+def block_size(batch: int, rollouts: Collection[tuple[str, int]], parameters: int) -> int:
+    """Return how many tests with these rollouts, (variant, replicate) of each, are a block where none decides another.
+
+    >>> block_size(16, [("true", 0), ("true", 1), ("true", 2)], parameters=2), block_size(1, [("true", 0)], 2)
+    (5, 1)
+    """
+    replicates = max(Counter(variant for variant, _ in rollouts).values())
+    return max(1, min(batch // replicates, MOST_NUMBERS // parameters))
 
 
 def within_starts(plan: ProblemPlan, tests: int) -> int:

@@ -109,5 +109,5 @@ def _as_recorded(payload: bytes, fact: BatchFact) -> bytes:
     if len(read_batch(payload).batch.failures) > len(fact.failures):
         return payload  # one that succeeded then has failed now
     assert fact.robustness is not None, "only batches with a robustness are reduced"
-    scores = Scores(fact.robustness, fact.by_tolerance, fact.ended)
-    return reduced_file(payload, fact.kept, scores, dict(fact.failures))
+    scores = Scores(fact.robustness, fact.by_tolerance, fact.ended, dict(fact.failures))
+    return reduced_file(payload, fact.kept, scores)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ...schemas.base import canonical_json
 from ...schemas.errors import IllegalEvent
+from ...schemas.file.keys import most_kept
 from ...schemas.file.problem_models import KernelProblem
 from ...schemas.ids import RolloutId
 from ...schemas.result.block_facts import (
@@ -146,6 +147,7 @@ class Series:
     """As in `ProblemProgress`."""
     budgets: list[int] = field(default_factory=list)
     """Tests at most after each extension of the campaign that this series has part in."""
+    kept: "Kept" = field(default_factory=lambda: Kept("all"))
     _failed: Counter[int] = field(default_factory=Counter)
     """Of open tests, or blocks, as in `failed`."""
 
@@ -294,12 +296,22 @@ class Kept:
     """
 
     def __init__(self, keep: str) -> None:
-        self._most = None if keep in ("all", "failures") else int(keep.removeprefix("worst "))
+        self._most = most_kept(keep)
         self._all = keep == "all"
         self.number = 0
         """Rollouts of closed tests that keep their samples."""
         self._worst = np.empty(0)
         self._limits: dict[int, float] = {}
+
+    def __eq__(self, other: object) -> bool:
+        """Whether both will decide alike."""
+        return isinstance(other, Kept) and self._state == other._state
+
+    __hash__ = None  # type: ignore[assignment]  # it changes
+
+    @property
+    def _state(self) -> tuple[object, ...]:
+        return self._all, self._most, self.number, self._worst.tolist(), self._limits
 
     def propose(self, test: int) -> None:
         """Take a proposed test, or the first one of a block."""
@@ -328,7 +340,6 @@ class Account(Series):
     """The facts of one problem."""
 
     plan: ProblemPlan = field(kw_only=True)
-    kept: Kept = field(default_factory=lambda: Kept("all"))
     proposed: list[Proposal] = field(default_factory=list)
     """The proposals of the closed tests, where a kernel method may be given them again; its kernel rows cost more."""
     excess: float = -math.inf

@@ -3,6 +3,7 @@
 import itertools
 import math
 from collections.abc import Callable, Collection, Sequence
+from functools import cached_property
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -45,7 +46,7 @@ class Draws:
     Drawn numbers are rounded to `DIGITS` significant digits, of the value or of the width of its range, and stay in
     [low, high]: the logarithms and roots of scipy may differ in their last bits between machines, and starts should
     not. A difference survives where a limit of rounding is between the two: at most one number in a million. A table's
-    rows, choices and steps are taken as they are. Not thread-safe.
+    rows, choices and steps are taken as they are. Not thread-safe. The first start finds what is wrong:
 
     Raises:
         ValueError: the campaign was not checked: a distribution has almost nothing in its range, or `where` is no
@@ -57,9 +58,13 @@ class Draws:
 
     def __init__(self, header: Header, design: str) -> None:
         self._header, self._series = header, f"{design}.starts"
-        self._width, self._starts = _transform(header)
         self._condition = condition(header.config.where, [each.name for each in header.spec.parameters])
         self._block: tuple[int, list[Start]] = (-1, [])
+
+    @cached_property
+    def _transform(self) -> tuple[int, Callable[[Floats], list[Start]]]:
+        # Once it is needed: scipy's distributions take a second to load, and a report draws no start.
+        return _transform(self._header)
 
     def start(self, number: int) -> Start:
         """Return start `number`; raises IndexError if it is negative."""
@@ -74,15 +79,16 @@ class Draws:
 
     def _drawn(self, rows: range) -> list[Start]:
         """Return starts of the region: start j is the first of its own attempts that is there."""
-        starts = self._starts(uniform(self._header, self._series, rows, self._width))
+        width, starts_of = self._transform
+        starts = starts_of(uniform(self._header, self._series, rows, width))
         if self._condition is None:
             return starts
         outside = np.flatnonzero(~self._condition(starts))
         for attempt in range(1, MOST_ATTEMPTS):
             if not outside.size:
                 return starts
-            shares = uniform(self._header, self._series, rows, self._width, attempt=attempt)
-            again = self._starts(shares[outside])
+            shares = uniform(self._header, self._series, rows, width, attempt=attempt)
+            again = starts_of(shares[outside])
             for k, start in zip(outside.tolist(), again, strict=True):
                 starts[k] = start
             outside = outside[~self._condition(again)]

@@ -31,7 +31,8 @@ The state contains the open tests; closed ones are a counter, so that a step cos
 
 Batches. Where a plan has `batch` > 1, every "test" above is a block: consecutive tests that are proposed, observed and
 closed together, named by the first of them. Its rollouts are requested in batches, each named by its first rollout. A
-batch is recorded with the rollouts in it that have failed, and the block waits for these one by one.
+batch is recorded with the rollouts in it that have failed, and the block waits for these one by one. Tests that follow
+such a series, and are chosen by its outcomes, have no batches: the first comes after all of it is observed.
 """
 
 import itertools
@@ -81,6 +82,8 @@ class Plan:
     """Tests in a block; the last one may have fewer."""
     origin: tuple[int, int] = (0, 0)
     """A block and its first test, from which on blocks are whole: the last one before an extension may be shorter."""
+    followups: int = 0
+    """Tests at most that follow one by one, without batches."""
 
     @property
     def blocks(self) -> int:
@@ -132,6 +135,15 @@ class Plan:
         """Return the plan with more tests."""
         # The next block begins where the tests before have ended, so that none of those changes.
         return replace(self, max_tests=max_tests, origin=(self.blocks, self.max_tests))
+
+    def followed(self) -> "Plan":
+        """Return the plan with the tests that follow."""
+        return replace(self.extended(self.most_tests), batch=1, block=1, followups=0)
+
+    @property
+    def most_tests(self) -> int:
+        """Tests at most, with those that follow."""
+        return self.max_tests + self.followups
 
     def rollouts_of(self, test: int) -> tuple[tuple[str, int], ...]:
         """Return (variant, replicate) of every rollout of one test."""
@@ -399,6 +411,8 @@ def _observe(problem: ProblemState, event: Observed) -> tuple[ProblemState, tupl
         due = f"test {first} is to be observed" if event.test != first else "a proposal is due"
         raise IllegalEvent(f"{event} is not allowed: {due} before it")
     problem = replace(problem, observed=problem.observed + 1, open=problem.open[1:])
+    if problem.plan.followups and problem.observed == problem.plan.blocks:
+        problem = replace(problem, plan=problem.plan.followed())
     # The verdict comes before the budget: a bound that converges with the last test has converged.
     if event.verdict is not None or problem.observed >= problem.plan.blocks:
         stopped = replace(problem, stopped_by=event.verdict or "budget")

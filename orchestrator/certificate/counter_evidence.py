@@ -341,10 +341,12 @@ def drawn_samples(config: CampaignConfig, values: Values) -> Sequence[float]:
     samples = array("d")
     for each in values:
         if each.series == problem.name:
-            first: Iterable[float] = each.robustness[:: each.replicates]
+            first = each.robustness[:: each.replicates]
             if search is not None:
-                first = itertools.compress(first, map(search.is_random, itertools.count(each.test)))
-            samples.extend(value for value in first if not math.isnan(value))
+                first = array("d", itertools.compress(first, map(search.is_random, itertools.count(each.test))))
+            # As a whole where none is NaN, which a sum shows: there may be a million.
+            whole = not math.isnan(sum(first))
+            samples.extend(first if whole else (value for value in first if not math.isnan(value)))
     return samples
 
 

@@ -96,10 +96,25 @@ def sign(*, directory: Path, key: Path) -> None:
     "--out",
     type=click.Path(path_type=Path, allow_dash=True),
     default=None,
-    help="Folder for the files, or - for one table to stdout.  [default: DIRECTORY/export]",
+    help="Folder for the files, or - for one of them to stdout.  [default: DIRECTORY/export]",
 )
 @click.option("--format", "form", type=click.Choice(["csv", "parquet"]), default="csv", show_default=True)
-def export(*, directory: Path, tables: tuple[str, ...], out: Path | None, form: Literal["csv", "parquet"]) -> None:
+@click.option(
+    "--rollout",
+    "rollouts",
+    multiple=True,
+    help="Write instead the trajectory of this rollout, for a viewer, into rollouts.mcap; may be repeated.",
+)
+@click.option("--batch", "batches", is_flag=True, help="With --rollout: also of all others in its batch.")
+def export(
+    *,
+    directory: Path,
+    tables: tuple[str, ...],
+    out: Path | None,
+    form: Literal["csv", "parquet"],
+    rollouts: tuple[str, ...],
+    batches: bool,
+) -> None:
     """Write TABLES of the campaign in DIRECTORY as files, while it runs too.
 
     \b
@@ -115,6 +130,11 @@ def export(*, directory: Path, tables: tuple[str, ...], out: Path | None, form: 
     """
     from ..store import export as store  # noqa: PLC0415
 
+    if rollouts or batches:
+        if tables or not rollouts or form != "csv":
+            raise click.UsageError("--rollout and --batch take no TABLES and no --format; name rollouts alone")
+        _export_rollouts(directory, rollouts, out or directory / store.DEFAULT, batches=batches)
+        return
     unknown = [name for name in tables if name not in store.TABLES]
     if unknown:
         near, allowed = meant(unknown[0], store.TABLES), ", ".join(store.TABLES)
@@ -135,3 +155,19 @@ def export(*, directory: Path, tables: tuple[str, ...], out: Path | None, form: 
         )
     for path, rows in found:
         click.echo(f"{path}  {counted(rows, 'row')}")
+
+
+def _export_rollouts(directory: Path, rollouts: tuple[str, ...], out: Path, *, batches: bool) -> None:
+    from ..report.rollout.viewer_file import viewer_file  # noqa: PLC0415
+    from ..store.export import whole  # noqa: PLC0415
+
+    with STDERR.console.status("reading the rollouts"):
+        data, number = viewer_file(directory, rollouts, batches=batches)
+    if str(out) == "-":
+        with stdout_bytes() as stream:
+            stream.write(data)
+        return
+    path = out / "rollouts.mcap"
+    with whole(directory, [path]) as (file,):
+        file.write(data)
+    click.echo(f"{path}  {counted(number, 'rollout')}")

@@ -7,6 +7,7 @@ random order about N (1 + ln(n / N)) do. Those of the first blocks are proposed 
 import math
 
 from ...schemas.file.config import CampaignConfig
+from ...schemas.file.keys import most_kept
 from ..campaign.plan import ProblemPlan
 
 REDUCED, COORDINATE = 75, 18
@@ -24,9 +25,9 @@ def evidence_bytes(config: CampaignConfig, plan: ProblemPlan, rollouts: float, s
 
 def kept_rollouts(config: CampaignConfig, plan: ProblemPlan, rollouts: float) -> float:
     """Return about how many of a problem's rollouts keep their samples, failures left out."""
-    if config.keep in ("all", "failures"):
+    most, machine = most_kept(config.keep), plan.machine
+    if most is None:
         return rollouts if config.keep == "all" else 0.0
-    most, machine = int(config.keep.removeprefix("worst ")), plan.machine
     first = max(1.0, min(rollouts, machine.window * machine.block * len(plan.rollouts)))
     share = min(1.0, most / config.batch)
     return min(rollouts, max(first * share, min(first, most)) + most * math.log(max(1.0, rollouts / max(first, most))))

@@ -66,6 +66,8 @@ class Decoder:
             found: Trajectory | Batch | EvidenceError
             try:
                 found = admit_either(request, self._columns, result.payload, result.header.sha256)
+                if isinstance(found, Batch):
+                    _ = found.digests  # which the loop needs of every batch
             except EvidenceError as fault:
                 found = fault.with_traceback(None)  # whose frames hold megabytes
             self._done(Decoded(time.monotonic(), result, found))

@@ -11,7 +11,7 @@ refutes that the workers are honest.
 from collections.abc import Callable
 
 from ...schemas.batch import BatchRequest, file_of
-from ...schemas.ids import Attempt, WorkId, first_of
+from ...schemas.ids import Attempt, WorkId, first_of, rollouts_of
 from ...schemas.result.block_facts import BatchFact
 from ...schemas.result.facts import RolloutFact
 from ...schemas.rollout import RolloutRequest
@@ -40,12 +40,11 @@ class Review:
         """Return the rollouts that are still to be simulated again, and take them in."""
         disputed, suspects = doubted(self._journal)
         self._disputed = frozenset(disputed)
-        if disputed:
-            self._print_line(f"{len(disputed):,} rollouts on which two workers differ are simulated again")
-        elif suspects:
-            self._print_line(f"{len(suspects):,} rollouts of outvoted workers are simulated again")
         # First the disputes: they decide who else is outvoted.
         found = disputed or suspects
+        if found:
+            whose = "on which two workers differ" if disputed else "of outvoted workers"
+            self._print_line(f"{sum(map(rollouts_of, found)):,} rollouts {whose} are simulated again")
         for work in found:
             self._requests[work] = self._ledger.request_again(work)
         return found

@@ -95,7 +95,7 @@ class RunStatus:
     waiting: int
     seconds: float
     under_way: int = 0
-    """Attempts that workers have been given and that have not ended."""
+    """Rollouts that workers have been given, each in an attempt that has not ended."""
     loop: LoopFigures = LoopFigures()
     link: RouterLink | None = None
     """To the router; None without one."""
@@ -372,7 +372,7 @@ def _status(
         _phases(state),
         roster.records,
         ledger.arrived,
-        len(state.waiting),
+        sum(map(rollouts_of, state.waiting)),
         now - started,
         machine.under_way(state),
         link=routers.link(now),

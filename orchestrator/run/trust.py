@@ -37,8 +37,8 @@ def note(
             log.set_aside(place.kind, place.name, seconds, reason)
             length = duration(seconds) if seconds < FOR_GOOD else "good"
             print_line(f"{place.kind} {place.name} is set aside for {length}: {one_line(reason)}")
-        case events.Compared(worker, attempt, digest):
-            log.opinion("compared", attempt, worker, digest)
+        case events.Compared(worker, attempt, digest, each):
+            log.opinion("compared", attempt, worker, digest, each)
         case events.Outvoted(worker, attempt, digest):
             log.opinion("outvoted", attempt, worker, digest)
         case events.Requeue(worker, attempt):
@@ -119,7 +119,7 @@ def _opinions_before(
     found: dict[WorkId, tuple[events.Opinion, ...]] = {}
     for each in log.compared(frozenset(rollouts)):
         rollout = each.attempt.rollout
-        opinion = events.Opinion(each.worker, each.host, each.attempt, each.sha256, doubtful=doubtful)
+        opinion = events.Opinion(each.worker, each.host, each.attempt, each.sha256, doubtful=doubtful, each=each.each)
         found[rollout] = (*found.get(rollout, ()), opinion)
     return found
 

@@ -1,7 +1,7 @@
 """The part of the journal that depends on chance: attempts and their ends, pauses and comparisons of workers."""
 
 import time
-from collections.abc import Container, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +9,7 @@ import sqlalchemy as sa
 
 from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, FileId, RolloutId, WorkId, parse_work
+from ...schemas.ranges import DIGEST
 from ...schemas.result.facts import RECORDED
 from . import tables
 from .pending import PendingRows
@@ -23,6 +24,8 @@ class StoredOpinion:
     worker: str
     host: str
     sha256: str
+    each: tuple[bytes, ...] = ()
+    """Of a batch the digest of each rollout, empty for one that failed."""
 
 
 class AttemptLog:
@@ -52,9 +55,10 @@ class AttemptLog:
         row = {"kind": kind, "name": name, "seconds": seconds, "reason": reason}
         self._rows.add(tables.set_aside, {"session": self._session, "at": time.time(), **row})
 
-    def opinion(self, kind: str, attempt: Attempt, worker: str, sha256: str) -> None:
-        """Write the digest of a result that is compared, outvoted or reviewed."""
-        row = {"kind": kind, "worker": worker, "sha256": sha256, "at": time.time()}
+    def opinion(self, kind: str, attempt: Attempt, worker: str, sha256: str, each: Iterable[bytes] = ()) -> None:
+        """Write the digest of a result that is compared, outvoted or reviewed; `each` as in `StoredOpinion`."""
+        digests = b"".join(digest or bytes(DIGEST) for digest in each) or None
+        row = {"kind": kind, "worker": worker, "sha256": sha256, "at": time.time(), "digests": digests}
         self._rows.add(tables.opinions, attempt_key(attempt) | row)
 
     def outvoted(self) -> list[str]:
@@ -104,19 +108,20 @@ class AttemptLog:
         started = tables.opinions.outerjoin(
             tables.attempts, (seen.rollout == began.rollout) & (seen.attempt == began.attempt)
         )
-        query = sa.select(seen.rollout, seen.attempt, seen.worker, began.host, seen.sha256).select_from(started)
+        columns = (seen.rollout, seen.attempt, seen.worker, began.host, seen.sha256, seen.digests)
+        query = sa.select(*columns).select_from(started)
         failed: Sequence[Any] = self._rows.read(sa.select(ended.rollout, ended.attempt).where(ended.kind == "system"))
         excluded = {(name, number) for name, number in failed}
         discarded: Sequence[Any] = self._rows.read(sa.select(gone.problem, gone.test, gone.variant, gone.replicate))
         without = {str(RolloutId(*row)) for row in discarded}
         found: list[StoredOpinion] = []
         rows: Sequence[Any] = self._rows.read(query.where(seen.kind == "compared").order_by(seen.entry))
-        for name, number, worker, host, sha256 in rows:
+        for name, number, worker, host, sha256, digests in rows:
             if name in without or (name, number) in excluded:
                 continue
             rollout = parse_work(name)
             if rollouts is None or rollout in rollouts:
-                found.append(StoredOpinion(Attempt(rollout, number), worker, host or "", sha256))
+                found.append(StoredOpinion(Attempt(rollout, number), worker, host or "", sha256, _each(digests or b"")))
         return found
 
     def worker_of(self, rollout: WorkId) -> str | None:
@@ -125,6 +130,11 @@ class AttemptLog:
         query = sa.select(ended.worker).where(ended.rollout == str(rollout), ended.outcome == RECORDED)
         rows = self._rows.read(query.order_by(ended.attempt.desc()).limit(1))
         return str(rows[0][0]) if rows else None
+
+
+def _each(digests: bytes) -> tuple[bytes, ...]:
+    each = (digests[first : first + DIGEST] for first in range(0, len(digests), DIGEST))
+    return tuple(digest if any(digest) else b"" for digest in each)
 
 
 def _failures_of(attempt: Attempt, failure: Failure) -> sa.Select[Any]:

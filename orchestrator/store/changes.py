@@ -1,6 +1,6 @@
 """The rows that were added to a campaign database since the last call; nothing stays open between two calls."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, TypeVar
@@ -243,9 +243,20 @@ def rollouts_of(directory: Path, problem: str, test: int) -> tuple[RolloutFact, 
 
 def rollouts_in(connection: Connection, directory: Path, problem: str, test: int) -> tuple[RolloutFact, ...]:
     """Return the same from an open database; raises as `rollouts_of`."""
+    found = _near(connection, directory, problem, test)
+    return tuple(sorted((fact for fact in found if fact.rollout.test == test), key=lambda fact: fact.rollout))
+
+
+def batch_in(connection: Connection, directory: Path, fact: RolloutFact) -> tuple[RolloutFact, ...]:
+    """Return the rollouts that share the file of a recorded one, in their order; raises as `rollouts_of`."""
+    near = _near(connection, directory, fact.rollout.problem, fact.rollout.test)
+    return tuple(each for each in near if each.path == fact.path)
+
+
+def _near(connection: Connection, directory: Path, problem: str, test: int) -> Iterator[RolloutFact]:
+    """Yield the rollouts of a test, and those that share a row with one of them."""
     rows = connection.execute(_OF_TEST, {"problem": problem, "test": test}).all()
-    found = (fact for row in rows for fact in _rollouts_of(row, directory) if fact.rollout.test == test)
-    return tuple(sorted(found, key=lambda fact: fact.rollout))
+    return (fact for row in rows for fact in _rollouts_of(row, directory))
 
 
 def proposal_in(connection: Connection, directory: Path, problem: str, test: int) -> Proposal:

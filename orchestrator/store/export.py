@@ -22,7 +22,7 @@ from .rows import DATABASE
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["TABLES", "counterexamples", "export", "stream", "table_array", "table_rows"]
+__all__ = ["TABLES", "counterexamples", "export", "stream", "table_array", "table_rows", "whole"]
 
 Format = Literal["csv", "parquet"]
 DEFAULT = "export"
@@ -53,10 +53,8 @@ def export(
 
     """
     paths = [folder / f"{name}.{form}" for name in names]
-    for path in paths:
-        _check_place(directory, path)
     write = _writer(form)
-    with _open_campaign(directory, names) as (connection, header, found), _whole(paths) as files:
+    with _open_campaign(directory, names) as (connection, header, found), whole(directory, paths) as files:
         return [
             (path, write(file, table, _counted(table, connection, progress), header))
             for path, file, table in zip(paths, files, found, strict=True)
@@ -99,8 +97,8 @@ def table_array(directory: Path, name: str) -> "NDArray[Any]":
 
 def counterexamples(directory: Path, path: Path) -> int:
     """Write the rollouts with robustness below 0 as CSV to `path`; return how many. Raises as `export`."""
-    _check_place(directory, path)
-    with _open_campaign(directory, ["counterexamples"]) as (connection, header, (table,)), _whole([path]) as (file,):
+    opened = _open_campaign(directory, ["counterexamples"])
+    with opened as (connection, header, (table,)), whole(directory, [path]) as (file,):
         return _csv(file, table, table.rows(connection), header)
 
 
@@ -184,6 +182,25 @@ def _metadata(**entries: str) -> dict[str, str] | None:
 # Files
 
 
+@contextmanager
+def whole(directory: Path, paths: Sequence[Path]) -> Iterator[list[IO[bytes]]]:
+    """Open files that are in their places together at the end of the block, or leave nothing after an error.
+
+    Raises:
+        PerfboundError: they are among the evidence of the campaign in `directory`, or cannot be written.
+
+    """
+    try:
+        for path in paths:
+            _check_place(directory, path)
+            make_folder(path.parent)
+        with replacing(paths) as files:
+            yield files
+    except OSError as error:
+        where = error.filename2 or error.filename or paths[0].parent
+        raise PerfboundError(f"{where}: cannot be written ({error.strerror or error}); choose another --out") from None
+
+
 def _check_place(directory: Path, path: Path) -> None:
     """Refuse to write among the evidence or over the database."""
     place, run = path.resolve(), directory.resolve()
@@ -191,21 +208,3 @@ def _check_place(directory: Path, path: Path) -> None:
         raise PerfboundError(f"{path}: {FOLDER} is for evidence alone; choose another --out")
     if place.parent == run and place.name.startswith(DATABASE):
         raise PerfboundError(f"{path}: this is the campaign's database; choose another --out")
-
-
-@contextmanager
-def _whole(paths: Sequence[Path]) -> Iterator[list[IO[bytes]]]:
-    """Open files that are in their places together at the end of the block, or leave nothing after an error.
-
-    Raises:
-        PerfboundError: they cannot be written.
-
-    """
-    try:
-        for path in paths:
-            make_folder(path.parent)
-        with replacing(paths) as files:
-            yield files
-    except OSError as error:
-        where = error.filename2 or error.filename or paths[0].parent
-        raise PerfboundError(f"{where}: cannot be written ({error.strerror or error}); choose another --out") from None

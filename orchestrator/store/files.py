@@ -52,39 +52,34 @@ def inside(directory: Path, relative: str) -> Path:
 class Batch:
     """Files that become durable together: written inside a `with` block, in place at its end, or not at all.
 
-    Used by one thread. Each file but the last is synced in the background while further ones are admitted and written;
-    mostly there is one, for which the way to a thread and back is too long.
+    Used by one thread. Each file but the last is written and synced in the background while others are admitted.
     """
 
     def __init__(self) -> None:
         self._written: dict[Path, Path] = {}
         """Places that are still to be filled, and where the files are written beside them."""
-        self._last: Path | None = None
-        """The place of the one that is not synced yet."""
-        self._syncing: list[Future[None]] = []
+        self._last: tuple[Path, bytes] | None = None
+        """The one that is not written yet: mostly the only one, for which the way to a thread and back is too long."""
+        self._writing: list[Future[None]] = []
         # Side by side: one after the other, a disk on which 740 files a second become durable took 100.
         self._pool = ThreadPoolExecutor(SYNCING, thread_name_prefix="fsync")
 
     def write(self, path: Path, data: bytes) -> None:
-        """Write a file beside its place; on an error nothing is left of it.
+        """Begin to write a file beside its place; an error is raised at the end of the block.
 
         Raises:
-            OSError: the disk is full or the folder cannot be written.
+            OSError: the folder cannot be made.
 
         """
         make_folder(path.parent)
-        if self._last is not None:
-            self._sync_in_background(self._written[self._last])
-        self._last, partial = path, temporary(path)
-        self._written[path] = partial
-        with fresh(partial) as file:
-            file.write(data)
-
-    def _sync_in_background(self, partial: Path) -> None:
+        partial = self._written[path] = temporary(path)
+        last, self._last = self._last, (partial, data)
+        if last is None:
+            return
         try:
-            self._syncing.append(self._pool.submit(sync, partial))
+            self._writing.append(self._pool.submit(_write_synced, *last))
         except RuntimeError:  # the main thread has ended, and another one goes on: Python starts no thread any more
-            sync(partial)
+            _write_synced(*last)
 
     def __enter__(self) -> None:
         """Begin with nothing."""
@@ -93,35 +88,48 @@ class Batch:
         """Make everything durable and move it into place; after an error remove it.
 
         Raises:
-            OSError: the disk is full. What was moved already stays: a file without its fact is written again or swept.
+            OSError: the disk is full, or a folder cannot be written. What was moved already stays: a file without its
+                fact is written again or swept.
 
         """
         try:
             if kind is None:
                 self._settle()
         finally:
-            wait(self._syncing)  # no thread may still open a file that is removed below
+            wait(self._writing)  # no thread may still open a file that is removed below
             for partial in self._written.values():
                 partial.unlink(missing_ok=True)
             self._written.clear()
-            self._syncing.clear()
+            self._writing.clear()
             self._last = None
 
     def _settle(self) -> None:
         # All files and names are on the disk before the commit of their facts: kill -9 or a power cut between two lines
         # leaves files without facts, whole or not, which a resume sweeps, never facts without files.
-        for each in self._syncing:
-            each.result()
-        folders = {path.parent for path in self._written}
-        for path, partial in list(self._written.items()):
-            partial.replace(path)
-            del self._written[path]
-        if self._last is not None:
-            # After the renames: a file system with a journal has the names on the disk as well then, and the folder,
-            # which others need, costs no second wait.
-            sync(self._last)
+        if self._last is None:
+            return
+        partial, data = self._last
+        with fresh(partial) as file:
+            file.write(data)
+            file.flush()
+            for each in self._writing:
+                each.result()
+            folders = {path.parent for path in self._written}
+            for path, place in list(self._written.items()):
+                place.replace(path)
+                del self._written[path]
+            # After the renames: a file system with a journal then has the names on the disk as well, and the folders,
+            # which others need, cost no second wait.
+            os.fsync(file.fileno())
         for folder in folders:
             sync(folder)
+
+
+def _write_synced(path: Path, data: bytes) -> None:
+    with fresh(path) as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def read_evidence(directory: Path, relative: str, sha256: str) -> bytes:

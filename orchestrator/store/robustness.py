@@ -8,7 +8,7 @@ import json
 import math
 import sqlite3
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence, Set
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -70,12 +70,25 @@ class ObservedValues(NamedTuple):
         width = len(self.starts) // self.tests
         return self.starts[width * place : width * (place + 1)]
 
-    def each(self) -> Iterator[tuple[int, bytes, list[float]]]:
-        """Yield number and start of every test with a robustness, and those of its rollouts that have one."""
-        for place in range(self.tests):
+    def each(self, places: Iterable[int] | None = None) -> Iterator[tuple[int, bytes, list[float]]]:
+        """Yield number and start of every test with a robustness, and those of its rollouts that have one.
+
+        With `places` the tests in these places alone.
+        """
+        for place in range(self.tests) if places is None else places:
             values = self.robustness[place * self.replicates : (place + 1) * self.replicates]
             if found := [value for value in values if value == value]:  # noqa: PLR0124  (NaN: it has none)
                 yield self.test + place, self.start(place), found
+
+    def places_of(self, starts: Set[bytes]) -> list[int]:
+        """Return the places of the tests at one of these starts."""
+        width = len(self.starts) // self.tests
+        parts = range(0, len(self.starts), width)
+        return [place for place, k in enumerate(parts) if self.starts[k : k + width] in starts]
+
+    def below_zero(self) -> list[int]:
+        """Return the places of the tests with a rollout below 0."""
+        return sorted({place // self.replicates for place, value in enumerate(self.robustness) if value < 0.0})
 
     def rollout(self, variant: str, place: int) -> RolloutId:
         """Return the rollout of the robustness in a place."""
@@ -105,7 +118,7 @@ def read_violations(directory: Path, variant: str) -> Violations:
             if least is not None:
                 worst.append((float(least), name))
             for found in _of_series(connection, _VIOLATING, of_series) if below else ():
-                violating.update(start for _, start, each in found.each() if min(each) < 0.0)
+                violating.update(map(found.start, found.below_zero()))
         least, name = min(worst, default=(None, ""))
         rollout = None if least is None else _worst_rollout(connection, variant, least, name)
     return Violations(

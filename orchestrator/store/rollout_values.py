@@ -1,10 +1,14 @@
 """The robustness of recorded rollouts that were added to a campaign database since the last call."""
 
-from array import array
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from .readonly import snapshot
+
+Floats = NDArray[np.float64]
 
 _ADDED = """
     SELECT seq, problem, variant, test, replicates, robustness, robustness_of FROM rollouts
@@ -17,8 +21,8 @@ class AddedValues(NamedTuple):
 
     problem: str
     variant: str
-    tests: "array[int]"
-    robustness: "array[float]"
+    tests: NDArray[np.int64]
+    robustness: Floats
 
 
 class RolloutValueReader:
@@ -43,8 +47,8 @@ class RolloutValueReader:
         return found
 
 
-def _each(test: int, replicates: int, least: float, column: bytes | None) -> "tuple[array[int], array[float]]":
+def _each(test: int, replicates: int, least: float, column: bytes | None) -> tuple[NDArray[np.int64], Floats]:
     """Return test and robustness of each rollout of a row; NaN is that of a rollout that failed."""
-    values = array("d", [least] if column is None else column)
-    kept = [(test + place // replicates, value) for place, value in enumerate(values) if value == value]  # noqa: PLR0124
-    return array("q", (each for each, _ in kept)), array("d", (value for _, value in kept))
+    values = np.array([least]) if column is None else np.frombuffer(column)
+    kept = np.flatnonzero(~np.isnan(values))
+    return test + kept // replicates, values[kept]

@@ -221,6 +221,7 @@ opinions = Table(
     Column("worker", Text, nullable=False),
     Column("sha256", Text, nullable=False),
     Column("at", REAL, nullable=False),  # Unix time, s
+    Column("digests", LargeBinary),  # of a batch that is compared: 32 bytes for each rollout, zeros for a failed one
     sqlite_strict=True,
 )
 

@@ -15,6 +15,15 @@ from .requirements import MOST, Requirement, conjunction
 from .space import Space, SystemChoice
 
 
+def most_kept(keep: str) -> int | None:
+    """Return N of `keep = "worst N"`; None for the other values.
+
+    >>> most_kept("worst 1000"), most_kept("failures")
+    (1000, None)
+    """
+    return int(keep.removeprefix("worst ")) if keep.startswith("worst ") else None
+
+
 class CampaignSize(Model):
     """Name, seed and size of a campaign; a problem may have its own size."""
 

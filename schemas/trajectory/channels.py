@@ -30,6 +30,7 @@ from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorP
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message import Message
 from google.protobuf.timestamp_pb2 import Timestamp
+from numpy.typing import NDArray
 
 from . import pack
 from .visual import Floats, Transform, Visual
@@ -65,15 +66,27 @@ def channels(visual: Visual, rows: Floats, units: Mapping[str, str]) -> tuple[Ch
     """
     scene = SceneUpdate() if visual.scene is None else visual.scene
     times = _nanoseconds(rows[:, 0])
-    state = _state(tuple(units))
+    with np.errstate(over="ignore"):  # beyond float32 a number is infinite, as protobuf has it
+        numbers = rows.astype(np.float32)
     return (
         Channel("/scene", SceneUpdate.DESCRIPTOR, _one_message(times[0], scene)),
         # Each solid once more, as a grid of one voxel: rerun draws no scene.
         *(Channel(topic, VoxelGrid.DESCRIPTOR, _one_message(times[0], grid)) for topic, grid in _solids(scene)),
         Channel("/log", Log.DESCRIPTOR, _log_messages(visual.log)),
         Channel("/tf", FrameTransforms.DESCRIPTOR, _transform_messages(times, visual.transforms)),
-        Channel("/state", state, _state_messages(times, rows), units),
+        # Half the size, and enough for a plot.
+        state_channel("/state", rows[:, 0], numbers, units),
     )
+
+
+def state_channel(topic: str, times: Floats, rows: Floats | NDArray[np.float32], units: Mapping[str, str]) -> Channel:
+    """Return the channel whose messages have all columns of `rows` (F, n), with 32 or 64 bits as these have.
+
+    `times` are in s; `units` is as in `channels`.
+    """
+    kind = FieldDescriptorProto.TYPE_FLOAT if rows.itemsize == 4 else FieldDescriptorProto.TYPE_DOUBLE
+    messages = zip(_nanoseconds(times), pack.rows(pack.numbers(rows)), strict=True)
+    return Channel(topic, _state(tuple(units), kind), messages, units)
 
 
 def _nanoseconds(seconds: Floats) -> list[int]:
@@ -115,22 +128,16 @@ def _transform_messages(times: list[int], transforms: tuple[Transform, ...]) -> 
     return zip(times, pack.rows(*found), strict=True)
 
 
-def _state_messages(times: list[int], rows: Floats) -> Messages:
-    with np.errstate(over="ignore"):  # beyond float32 a number is infinite, as protobuf has it
-        numbers = rows.astype(np.float32)
-    return zip(times, pack.rows(pack.numbers(numbers)), strict=True)
-
-
 @functools.lru_cache
-def _state(columns: tuple[str, ...]) -> Descriptor:
-    """Return the type of the messages on /state: one float a column, which is half the size and enough for a plot."""
+def _state(columns: tuple[str, ...], kind: FieldDescriptorProto.Type) -> Descriptor:
+    """Return the type of messages with a number for each column."""
     file = FileDescriptorProto(name="perfbound/State.proto", package="perfbound", syntax="proto3")
     message = file.message_type.add(name="State")
     for number, name in enumerate(columns, start=1):
         message.field.add(
             name=name,
             number=number,
-            type=FieldDescriptorProto.TYPE_FLOAT,
+            type=kind,
             label=FieldDescriptorProto.LABEL_OPTIONAL,
         )
     try:

@@ -13,7 +13,7 @@ end) and, where rollouts have failed, `failures.json`.
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -43,14 +43,21 @@ from .visual import Floats
 
 
 class Scores(NamedTuple):
-    """What is recorded of each rollout of a batch beside its samples, each of shape (R,)."""
+    """What is recorded of the R rollouts of a batch beside their samples."""
 
-    robustness: Floats
-    """Clipped; NaN for a failed rollout."""
+    robustness: Floats | None
+    """Shape (R,), clipped, NaN for a failed rollout; None for a campaign that measures none."""
     by_tolerance: NDArray[np.bool_]
-    """Whether the tolerance of the time stamps could decide a sign."""
+    """Whether the tolerance of the time stamps could decide a sign, shape (R,)."""
     ended: Floats
-    """When it ended before the horizon, in s; NaN for one that did not."""
+    """When each rollout ended before the horizon, in s, shape (R,); NaN for one that did not."""
+    failures: Mapping[int, str]
+    """Place and reason of each rollout without a score, those without a trajectory included."""
+
+    @property
+    def rows(self) -> Floats:
+        """Robustness, mark and end of each rollout, shape (3, R)."""
+        return np.array([self.robustness, self.by_tolerance, self.ended], dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +75,6 @@ class Reduced:
     values: Floats  # (n - 1, K, T)
     digest_column: bytes  # DIGEST bytes for each rollout; zeros for one that has failed
     scores: Scores
-    failures: Mapping[int, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         count = len(self)
@@ -79,7 +85,8 @@ class Reduced:
         if list(self.kept) != sorted(set(self.kept)) or self.values.shape[1:2] != (len(self.kept),):
             raise ValueError(f"{len(self.kept)} kept rollouts, not in their order or with other samples")
         failed = [place in self.failures for place in range(count)]
-        if not np.array_equal(~np.isfinite(self.scores.robustness), failed):
+        robustness = self.scores.robustness
+        if robustness is None or not np.array_equal(~np.isfinite(robustness), failed):
             raise ValueError("a rollout has no robustness, or a failed one has")
         if any((self._digest(place) == bytes(DIGEST)) != failed[place] for place in range(count)):
             raise ValueError("a rollout has no digest, or a failed one has")
@@ -90,7 +97,12 @@ class Reduced:
                 raise ValueError(f"the samples of rollout {place} have another digest")
 
     def __len__(self) -> int:
-        return len(self.scores.robustness)
+        return len(self.scores.ended)
+
+    @property
+    def failures(self) -> Mapping[int, str]:
+        """The reason of each rollout that has no trajectory, or no score, by its place."""
+        return self.scores.failures
 
     @cached_property
     def samples(self) -> Batch | None:
@@ -124,42 +136,41 @@ class Reduced:
         return self.digest_column[DIGEST * place : DIGEST * (place + 1)]
 
 
-def reduced(batch: Batch, kept: Sequence[int], scores: Scores, failures: Mapping[int, str]) -> Reduced:
-    """Return a batch with the samples of `kept` alone; `failures` has those of the batch, and those without a score."""
-    digests = [bytes(DIGEST) if place in failures else each for place, each in enumerate(batch.digests)]
+def reduced(batch: Batch, kept: Sequence[int], scores: Scores) -> Reduced:
+    """Return a batch with the samples of `kept` alone."""
+    digests = [bytes(DIGEST) if place in scores.failures else each for place, each in enumerate(batch.digests)]
     values = np.ascontiguousarray(batch.values[:, list(kept)])
-    return Reduced(batch.columns, batch.time, tuple(kept), values, b"".join(digests), scores, failures)
+    return Reduced(batch.columns, batch.time, tuple(kept), values, b"".join(digests), scores)
 
 
 def encode_reduced(batch: Reduced, *, request: Mapping[str, Any], metadata: Mapping[str, str]) -> bytes:
     """Return the file of a reduced batch: equal arguments give equal bytes."""
-    scores = batch.scores
     attachments = {
         REQUEST: canonical_json(dict(request)).encode(),
         TIME: to_npy(batch.time),
         KEPT: canonical_json(list(batch.kept)).encode(),
         EVIDENCE: to_npy(batch.values),
         DIGESTS: batch.digest_column,
-        SCORES: to_npy(np.array([scores.robustness, scores.by_tolerance, scores.ended], dtype=np.float64)),
+        SCORES: to_npy(batch.scores.rows),
     }
     if batch.failures:
         attachments[FAILURES] = failures_text(batch.failures)
     return canonical_file(OF_REDUCED, {**metadata, "columns": json.dumps(batch.columns)}, attachments)
 
 
-def reduced_file(data: bytes, kept: Sequence[int], scores: Scores, failures: Mapping[int, str]) -> bytes:
+def reduced_file(data: bytes, kept: Sequence[int], scores: Scores) -> bytes:
     """Return the file of the same batch as `reduced` leaves it; raises as `read_batch`."""
     batch, request, metadata = read_batch(data)
-    return encode_reduced(reduced(batch, kept, scores, failures), request=json.loads(request), metadata=metadata)
+    return encode_reduced(reduced(batch, kept, scores), request=json.loads(request), metadata=metadata)
 
 
 def read_reduced(data: bytes) -> BatchFile[Reduced]:
     """Return the content of the one file that `encode_reduced` writes for it; raises as `read_batch`."""
     try:
         columns, time, values, failures, metadata, attachments = read_parts(data, OF_REDUCED)
-        kept, scores = _kept(attachments[KEPT]), _scores(attachments[SCORES])
+        kept, scores = _kept(attachments[KEPT]), _scores(attachments[SCORES], failures)
         try:
-            batch = Reduced(columns, time, kept, values, attachments[DIGESTS], scores, failures)
+            batch = Reduced(columns, time, kept, values, attachments[DIGESTS], scores)
         except ValueError as error:
             raise UnusableTrajectoryError(f"not a usable batch: {error}") from None
         return BatchFile(batch, attachments[REQUEST], metadata)
@@ -182,8 +193,8 @@ def _kept(content: bytes) -> tuple[int, ...]:
     return tuple(found)
 
 
-def _scores(content: bytes) -> Scores:
+def _scores(content: bytes, failures: Mapping[int, str]) -> Scores:
     found = from_npy(SCORES, content, 2)
     if len(found) != 3 or not np.isin(found[1], (0.0, 1.0)).all():
         raise TrajectoryError(f"{SCORES} has other rows than robustness, mark and end")
-    return Scores(found[0], found[1] == 1.0, found[2])
+    return Scores(found[0], found[1] == 1.0, found[2], failures)

@@ -117,7 +117,7 @@ def cost(header: Header, plans: Mapping[str, ProblemPlan]) -> list[str]:
     if (spot := spot_check_plan(header, plans.values())) is not None:
         starts = header.config.spot_check
         least = spot.count(starts)
-        more = spot.count(spot.max_tests) - least
+        more = spot.count(spot.most_tests) - least
         followups = f" and at most {more:,} that follow up" if more else ""
         unless = " (not after a counterexample)" if header.config.until_counterexample else ""
         parts.append(f"a spot check of {starts:,} starts with {least:,} rollouts{followups}{unless}")

@@ -61,7 +61,7 @@ class RiskCheck:
         """Return the check that follows a spot check of so many tests; None where nothing is to be decided, or left."""
         named = _refuted_risks(spot)
         # What the spot check has left of its follow-ups: the campaign file limits both together.
-        budget = spot.plan.max_tests - spent
+        budget = spot.plan.most_tests - spent
         return cls(header, spot, named, budget, extensions) if named and budget > 0 else None
 
     def proposal(self, series: Series, test: int) -> ProposalFact:

@@ -2,12 +2,14 @@
 
 import math
 from array import array
+from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, MutableSequence, Sequence, Set
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ....schemas.ids import SPOT_CHECK, RolloutId, of_extension
+from ....schemas.result.block_facts import BatchFact, BlockObservationFact, BlockProposalFact, each_fact
 from ....schemas.result.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
 from ....schemas.trajectory.trajectory import Trajectory
 from ....schemas.values import Bound, Observation
@@ -18,10 +20,10 @@ from .. import state
 from ..counterexample import counterexample
 from ..decisions import UNOBSERVABLE, naming
 from ..objectives import excess
-from ..observation import Observer, Others, Trajectories
-from ..plan import ProblemPlan, value_range
+from ..observation import Load, Observer, Others, Trajectories, block_trajectories
+from ..plan import ProblemPlan, block_size, value_range
 from ..ports import Recorded
-from ..seeds import rollout_seed, uniform
+from ..seeds import rollout_seed, rollout_seeds, uniform
 from ..series import Account, Series
 
 LEVEL = 0.05
@@ -49,21 +51,40 @@ class SpotSeries(Series):
     def observe(self, fact: ObservationFact) -> list[RolloutFact]:
         """Close an observed test, as every series does, and take the robustness at a start that has none."""
         rollouts = Series.observe(self, fact)  # by name: `super()` finds no cell in a class with slots
+        self._take(self.nodes[-1], rollouts)
+        return rollouts
+
+    def observe_block(self, fact: BlockObservationFact) -> list[BatchFact]:
+        """Close an observed block, as `observe` closes a test."""
+        batches = Series.observe_block(self, fact)
+        for node, rollouts in zip(self.nodes[-len(fact) :], by_test(self.last_rollouts).values(), strict=True):
+            self._take(node, rollouts)
+        return batches
+
+    def _take(self, node: int, rollouts: Sequence[RolloutFact]) -> None:
         tested = tested_variant({each.rollout.variant for each in rollouts})
         ordered = sorted(rollouts, key=lambda each: each.rollout)
         found = [each.robustness for each in ordered if each.rollout.variant == tested]
         # Of the first test alone: follow-ups go to suspicious starts, and are no fair sample.
-        self.robustness.setdefault(self.nodes[-1], tuple(value for value in found if value is not None))
+        self.robustness.setdefault(node, tuple(value for value in found if value is not None))
         for each in rollouts:
             if each.robustness is not None:
                 self.clipped.setdefault(each.rollout.variant, array("d")).append(each.robustness)
-        return rollouts
+
+
+def by_test(rollouts: Iterable[RolloutFact]) -> dict[int, list[RolloutFact]]:
+    """Return the rollouts of each test, in the order of the tests."""
+    found = defaultdict[int, list[RolloutFact]](list)
+    for each in rollouts:
+        found[each.rollout.test].append(each)
+    return dict(sorted(found.items()))
 
 
 class SpotCheck:
     """The decider of the spot check; a test has rollouts of every variant that some problem needs, at one start.
 
     A follow-up has rollouts of noisy variants alone: the others are those of the first test there, test j at start j.
+    With `batch` the first tests are in blocks, and follow-ups come after all of them, one by one.
     `each` of an observation has J of every tested bound, in the order of the campaign file, for each replicate.
     """
 
@@ -90,7 +111,7 @@ class SpotCheck:
         hypotheses = [_hypothesis(each, _limit(accounts[each.key]), noisy) for each in self._plans]
         self.hypotheses = {each.key: found for each, found in zip(self._plans, hypotheses, strict=True)}
         self.starts = _uniform_starts(header, self._plans, self.name)
-        followups = plan.max_tests - len(self.starts)
+        followups = plan.most_tests - len(self.starts)
         self.excess = -math.inf
         """As of an account: above 0 the gap of some pair at a fresh start does not dominate."""
         self._first: dict[int, dict[str, float]] = {}
@@ -121,18 +142,36 @@ class SpotCheck:
         assert chosen is not None, "a spot check that is complete has ended"
         return ProposalFact(self.name, test, chosen)
 
+    def block(self, series: Series, tests: range) -> BlockProposalFact:  # noqa: ARG002  (each start once)
+        """Choose the next starts."""
+        starts = np.array(self.starts[tests.start : tests.stop])
+        return BlockProposalFact.of(self.name, tests.start, np.array(tests), starts)
+
     def observation(self, series: Series, test: int, trajectories: Trajectories) -> ObservationFact:
         """Return J of every tested problem for each replicate; y is the first one."""
         start = series.proposals[test].proposal.node
         missing = [(variant, 0) for variant in self.variants if (variant, 0) not in trajectories]
         first = {key: self._recorded.trajectory(RolloutId(self.name, start, *key)) for key in missing}
-        found: Trajectories = {**first, **trajectories}
         with naming(f"{self.name}, test {test}", UNOBSERVABLE):
-            values = tuple(
-                self._value(plan, found, replicate) for replicate in range(self._replicates) for plan in self._plans
-            )
+            values = self._values({**first, **trajectories})
         observed = Observation(values[0], values)
         return ObservationFact(self.name, test, observed, series.next_link(test, observed))
+
+    def observed_block(self, series: Series, test: int, load: Load) -> BlockObservationFact:
+        """Return the values of the tests of a block, which begins with `test`, each as `observation` does."""
+        proposal, batches = series.blocks[test], series.batches[test]
+        with naming(f"{self.name}, tests from {test}", UNOBSERVABLE):
+            each = np.array([self._values(found) for found in block_trajectories(len(proposal), batches, load)])
+        fact = BlockObservationFact.of(self.name, test, each[:, 0], each)
+        return replace(fact, chain=series.next_block_link(proposal, batches, fact))
+
+    needs_scores_alone = False
+    """Whether an observation follows from the recorded scores of its rollouts: a column or a gap does not."""
+
+    @property
+    def has_pairs(self) -> bool:
+        """Whether rollouts of a test are compared with one another."""
+        return any(plan.objective.measured == "gap" for plan in self._plans)
 
     def check(self, series: Series, rollout: RolloutId, trajectory: Trajectory, others: Others) -> None:
         """Raise a ValueError if a rollout of an open test allows no observation, alone or with others of the test."""
@@ -149,19 +188,21 @@ class SpotCheck:
                 paired = replace(plan, replicates=self._replicates, shared=frozenset(plan.variants) - noisy)
                 self.observer.check(paired, rollout[2:], trajectory, used)
 
-    def bound(self, series: Series, fact: ObservationFact) -> BoundFact:
+    def bound(self, series: Series, fact: ObservationFact | BlockObservationFact) -> BoundFact:
         """Take an observation; the check ends with its budget, or when no start is suspicious."""
-        assert series.last_proposal is not None
+        rollouts, last = by_test(series.last_rollouts), fact.test + len(fact) - 1
         with naming(f"{self.name}, test {fact.test}"):
-            values, width = fact.observation.each, len(self._plans)
-            for first in range(0, len(values), width):
-                self._tests.observe(series.last_proposal.node, values[first : first + width])
-            for place, plan in enumerate(self._plans):
-                if plan.objective.measured == "gap":
-                    self._compare(plan, series, values[place::width])
-        spent = fact.test + 1 >= self.plan.max_tests
+            for node, each in zip(series.nodes[-len(fact) :], each_fact([fact]), strict=True):
+                assert isinstance(each, ObservationFact)
+                self._take(node, each.observation.each, rollouts[each.test])
+        spent = last + 1 >= self.plan.most_tests
         done = not spent and self._tests.propose() is None
-        return BoundFact(self.name, fact.test, Bound(None, None, "converged" if done else None), budget=spent)
+        bound = Bound(None, None, "converged" if done else None)
+        return BoundFact(self.name, last, bound, budget=spent, tests=len(fact))
+
+    def seeds(self, first: RolloutId, tests: int, replicates: int) -> list[int]:
+        """Return the seed of every rollout of a batch."""
+        return rollout_seeds(self._header, first, tests, replicates)
 
     def seed(self, rollout: RolloutId) -> int:
         """Return the seed of a rollout."""
@@ -176,14 +217,20 @@ class SpotCheck:
         """Whether it refutes a bound."""
         return any(found.status == "refuted" for _, found in self.findings())
 
-    def _compare(self, plan: ProblemPlan, series: Series, gaps: Sequence[float]) -> None:
-        """Compare the gaps of the last test with the differences in robustness: those of every pair."""
-        assert series.last_proposal is not None
-        found = {
-            (each.rollout.variant, each.rollout.replicate): each.robustness or 0.0 for each in series.last_rollouts
-        }
+    def _take(self, node: int, values: Sequence[float], rollouts: Sequence[RolloutFact]) -> None:
+        """Take the values of a test at a start."""
+        width = len(self._plans)
+        for first in range(0, len(values), width):
+            self._tests.observe(node, values[first : first + width])
+        for place, plan in enumerate(self._plans):
+            if plan.objective.measured == "gap":
+                self._compare(plan, node, values[place::width], rollouts)
+
+    def _compare(self, plan: ProblemPlan, node: int, gaps: Sequence[float], rollouts: Sequence[RolloutFact]) -> None:
+        """Compare the gaps of a test with the differences in robustness: those of every pair."""
+        found = {(each.rollout.variant, each.rollout.replicate): each.robustness or 0.0 for each in rollouts}
         first = self._first.setdefault(
-            series.last_proposal.node,
+            node,
             {variant: value for (variant, replicate), value in found.items() if not replicate},
         )
         # A variant without noise has one rollout at a start.
@@ -193,6 +240,12 @@ class SpotCheck:
             for replicate in range(len(gaps))
         }
         self.excess = max(self.excess, excess(plan, whole, gaps))
+
+    def _values(self, trajectories: Trajectories) -> tuple[float, ...]:
+        """Return J of every tested problem for each replicate."""
+        return tuple(
+            self._value(plan, trajectories, replicate) for replicate in range(self._replicates) for plan in self._plans
+        )
 
     def _value(self, plan: ProblemPlan, trajectories: Trajectories, replicate: int) -> float:
         used: Trajectories = {
@@ -225,10 +278,19 @@ def spot_check_plan(header: Header, plans: Collection[ProblemPlan], name: str = 
     later = tuple((variant, replicate) for variant, replicate in rollouts if variant in noisy)
     followups = config.spot_check_followups if later else 0
     # No more in flight than there are starts: a follow-up without any observation is chosen blindly. Without follow-ups
-    # no start depends on an observation.
-    window = min(WINDOW, config.spot_check) if followups else config.spot_check
+    # no start depends on an observation; but batches are kept in memory until they are observed.
+    window = min(WINDOW, config.spot_check) if followups or config.batch > 1 else config.spot_check
+    # Of batches a window of some is all of the first tests: follow-ups in it would be chosen blindly as well.
+    apart = followups if config.batch > 1 else 0
     return state.Plan(
-        name, window, config.spot_check + followups, rollouts, later=(config.spot_check, later) if later else None
+        name,
+        window,
+        config.spot_check + followups - apart,
+        rollouts,
+        later=(config.spot_check, later) if later else None,
+        batch=config.batch,
+        block=block_size(config.batch, rollouts, len(header.spec.parameters)),
+        followups=apart,
     )
 
 

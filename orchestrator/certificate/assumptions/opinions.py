@@ -25,14 +25,15 @@ def workers_honest(header: Header, evidence: Iterable[FileId], contradicted: Seq
     """
     if not header.config.second_opinion:
         return None
+    files = list(evidence)
+    in_batches = "_in_batches" if any(file.places for file in files) else ""
     if contradicted:
         named = ", ".join(contradicted[:MOST_NAMED])
         more = f", and {len(contradicted) - MOST_NAMED} more" if len(contradicted) > MOST_NAMED else ""
-        return assumption(NAME, "refuted", {"count": len(contradicted), "rollouts": named + more}, form="outvoted")
-    files = list(evidence)
+        form, count = f"outvoted{in_batches}", len(contradicted)
+        return assumption(NAME, "refuted", {"count": count, "rollouts": named + more}, form=form)
     compared = sum(is_chosen(header, file.rollout) for file in files)
     share = unseen_share(compared, UNSEEN) if compared else 1.0
-    in_batches = any(file.places for file in files)
     if in_batches:
         share = _share_of_rollouts(share, [max(file.places, 1) for file in files])
     values = {
@@ -41,7 +42,7 @@ def workers_honest(header: Header, evidence: Iterable[FileId], contradicted: Seq
         "agreed": compared,
         "percent": math.ceil(1000 * share) / 10,
     }
-    form = "second_opinion_in_batches" if in_batches else "second_opinion"
+    form = f"second_opinion{in_batches}"
     return assumption(NAME, "not refuted" if compared else "assumed", values, form=form)
 
 

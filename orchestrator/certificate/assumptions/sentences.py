@@ -399,6 +399,10 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "refuted": "a worker was outvoted by two others, and {count} of the rollouts that it had recorded had another "
         "trajectory when they were simulated again: {rollouts}.",
     },
+    "outvoted_in_batches": {
+        "refuted": "a worker was outvoted by two others, and {count} of the batches, and of the rollouts in none, that "
+        "it had recorded had another trajectory when they were simulated again: {rollouts}.",
+    },
     "scores_as_computed": {
         "assumed": '{kept} rollouts have their samples in the evidence (keep = "{keep}"), and their robustness is '
         "recomputed from them; of the {reduced} others start, seed, digest and robustness are left. That their "

@@ -16,7 +16,7 @@ from ....schemas.batch import BatchRequest
 from ....schemas.ids import FileId
 from ....schemas.rollout import RolloutRequest
 from ....schemas.trajectory.batch import Batch, read_batch
-from ....schemas.trajectory.reduced import Reduced, Scores, read_stored, reduced_file
+from ....schemas.trajectory.reduced import Reduced, read_stored, reduced_file
 from ....schemas.trajectory.trajectory import Trajectory, read_mcap
 from ....schemas.trajectory.visual import Floats
 from ...campaign.decisions import scores_of_batch
@@ -107,9 +107,8 @@ def _as_kept(before: Reduced, after: bytes, observer: Observer) -> bytes:
     batch, request, _ = read_batch(after)
     # Every rollout is scored: a robustness that no samples back any more could be any number.
     found = scores_of_batch(observer, BatchRequest.model_validate_json(request), batch)
-    assert found.robustness is not None, "only batches with a robustness are reduced"
     kept = [place for place in before.kept if place not in found.failures]
-    return reduced_file(after, kept, Scores(found.robustness, found.by_tolerance, found.ended), found.failures)
+    return reduced_file(after, kept, found)
 
 
 def _batch_difference(a: Batch | Reduced, b: Batch | Reduced) -> float:
@@ -122,10 +121,9 @@ def _batch_difference(a: Batch | Reduced, b: Batch | Reduced) -> float:
     both = sorted({*a.succeeded} & {*b.succeeded})
     distances = [np.abs(a.time - b.time)]
     if isinstance(a, Reduced) and isinstance(b, Reduced):
-        for one, other in zip(a.scores, b.scores, strict=True):
-            first, second = one[both].astype(np.float64), other[both].astype(np.float64)
-            # NaN: it did not end early. A mark, or an end, that only one of them has is no last digit.
-            distances.append(np.where(np.isnan(first) & np.isnan(second), 0.0, np.abs(first - second)))
+        first, second = a.scores.rows[:, both], b.scores.rows[:, both]
+        # NaN: it did not end early. A mark, or an end, that only one of them has is no last digit.
+        distances.append(np.where(np.isnan(first) & np.isnan(second), 0.0, np.abs(first - second)))
         both = sorted({*a.kept} & {*b.kept})
     distances.append(np.abs(_samples(a, both) - _samples(b, both)))
     return float(max(np.max(each, initial=0.0) for each in distances))

@@ -98,7 +98,7 @@ def verify_certificate(
 
     def reported(stage: str, done: int, total: int) -> None:
         nonlocal at
-        at = f"{stage} at {done:,} of {total:,}"
+        at = f"{stage} at {done:,} of {total:,}{'' if stage == 'simulation' else ' files'}"
         report(stage, done, total)
 
     try:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
+    from rich.progress import Progress, TaskID
 
 Report = Callable[[str, int, int], None]
 """Progress callback: stage, completed, total."""
@@ -12,11 +12,13 @@ Report = Callable[[str, int, int], None]
 
 def stage_bars(progress: "Progress") -> Report:
     """Return a progress callback that draws a bar for every stage."""
-    bars = {}
+    bars: dict[str, TaskID] = {}
 
     def report(stage: str, done: int, total: int) -> None:
+        # One step has no share before its end: its bar moves, and does not stand at 0 %.
+        known = None if total == 1 and not done else total
         if stage not in bars:
-            bars[stage] = progress.add_task(stage, total=total)
-        progress.update(bars[stage], completed=done)
+            bars[stage] = progress.add_task(stage, total=known)
+        progress.update(bars[stage], completed=done, total=known)
 
     return report

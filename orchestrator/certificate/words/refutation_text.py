@@ -78,7 +78,7 @@ def counterexample_words(found: Counterexample, unit: str, units: Mapping[str, s
     start = named_start(found.start, units)
     others = f", the worst of its {found.rollouts:,} rollouts" if found.rollouts > 1 else ""
     margin = margin_words(found.robustness, unit)
-    words = f"test {found.test} violates the specification: robustness {margin} at {start}, seed {found.seed}"
+    words = f"test {found.test:,} violates the specification: robustness {margin} at {start}, seed {found.seed}"
     return f"{words} (rollout {found.rollout}{others}){_shrunk_words(found, unit, units)}"
 
 

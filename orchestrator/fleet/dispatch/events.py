@@ -19,7 +19,7 @@ class Opinion:
     doubtful: bool = False
     """Whether it is compared for a doubt alone, and not for the honesty of its worker."""
     each: tuple[bytes, ...] = ()
-    """Of a batch of this session the digest of each rollout, empty for one that failed."""
+    """Of a batch the digest of each rollout, empty for one that failed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,6 +256,8 @@ class Compared:
     worker: str
     attempt: Attempt
     digest: str
+    each: tuple[bytes, ...] = ()
+    """As in `Opinion`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -131,8 +131,8 @@ def advance(state: DispatchState, event: Event) -> Outcome:
 
 
 def under_way(state: DispatchState) -> int:
-    """Return the number of attempts that workers have been given and that have not ended."""
-    return sum(worker.attempt is not None for worker in state.workers.values())
+    """Return the number of rollouts that workers have been given, each in an attempt that has not ended."""
+    return sum(rollouts_of(worker.attempt.rollout) for worker in state.workers.values() if worker.attempt is not None)
 
 
 def _want(state: DispatchState, event: Wanted) -> Outcome:

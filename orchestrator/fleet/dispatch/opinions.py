@@ -69,7 +69,7 @@ def consider(state: DispatchState, event: Delivered) -> Decision:
     opinion = Opinion(name, state.host(name), event.attempt, event.digest, doubtful=not compared, each=event.each)
     known = replace(known, opinions=(*known.opinions, opinion))
     state = replace(state, open={**state.open, rollout: known})
-    noted = Compared(name, event.attempt, event.digest)
+    noted = Compared(name, event.attempt, event.digest, event.each)
     counted = [each for each in known.opinions if not is_outvoted(state, each.worker)]
     agreeing = [each.worker for each in counted if has_all_of(each, event)]
     # A doubt is one about the system, so two equal results of one worker settle it.
@@ -141,7 +141,7 @@ def contradicts(opinion: Opinion, other: Opinion | Delivered) -> bool:
 
 
 def _pairs(opinion: Opinion, other: Opinion | Delivered) -> list[tuple[bytes, bytes]]:
-    """Return the digests of each rollout of a batch; none where they are not known, as those of before a restart."""
+    """Return both digests of each rollout of a batch; none where it is a rollout alone."""
     return list(zip(opinion.each, other.each, strict=True)) if len(opinion.each) == len(other.each) else []
 
 

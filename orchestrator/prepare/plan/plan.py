@@ -196,7 +196,7 @@ def _check_sizes(header: Header, found: Plans, problems: Sequence[ProblemSize]) 
     evidence = [each.rollouts for each in problems]
     spot = spot_check_plan(header, found.values())
     if spot is not None:
-        starts, most = header.config.spot_check, spot.max_tests
+        starts, most = header.config.spot_check, spot.most_tests
         words = f"{starts:,} starts, and follow-ups" if most > starts else f"{starts:,} starts"
         # In tests of one rollout: a follow-up has fewer of them than the first test at a start.
         low, high = spot.count(starts), spot.count(most)

@@ -104,7 +104,7 @@ class Collector:
             raise PerfboundError(f"{self.directory}: no problem {problem[:80]!r}; choose one of {known}")
         number = len(self._problems[problem].proposed)
         if not 0 <= test < number:
-            raise PerfboundError(f"{self.directory}: {problem} has no test {test}; choose one of the {number}")
+            raise PerfboundError(f"{self.directory}: {problem} has no test {test:,}; choose one of the {number:,}")
         return self._rollouts(problem, test)
 
     def _read(self) -> Header:

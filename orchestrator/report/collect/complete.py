@@ -37,8 +37,8 @@ class RolloutValues:
         for each in added:
             key = each.problem, each.variant
             values, tests = self._values.setdefault(key, (array("d"), array("q")))
-            values.extend(each.robustness)
-            tests.extend(each.tests)
+            values.frombytes(each.robustness.tobytes())
+            tests.frombytes(each.tests.tobytes())
 
     def histogram(self, problem: str, clip: Clip, unit: str) -> RolloutHistogram | None:
         """Return the histogram of a problem, with common edges for its variants; None without a robustness."""

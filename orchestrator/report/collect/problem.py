@@ -260,9 +260,10 @@ class ProblemCollector:
         return self._method.probability
 
     def _contradictions(self) -> tuple[str, ...]:
-        each = self.observed.of_replicates(self.plan.replicates)
-        robustness = consistency.robustness_of(self.problem, each)
-        found = consistency.of_tests(self.plan, self.observed.y.tolist(), each, robustness)
+        values, number = self.observed.each, self.plan.replicates
+        robustness = consistency.robustness_of(self.problem, values[:, :number][~np.isnan(values[:, :number])])
+        each = self.observed.of_replicates(number)
+        found = consistency.of_tests(self.plan, self.observed.y.tolist(), each, robustness.tolist())
         return tuple(map(typeset, (*consistency.of_plan(self.plan, self._header.spec), *found.values())))
 
     def _left(self) -> str | None:

@@ -1,7 +1,7 @@
 """The tests of a problem as the database has them: a block stays one fact, and numbers of all tests are columns."""
 
 from bisect import bisect_right, insort
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -124,12 +124,9 @@ class ObservedTests:
         """The contributions of the replicates of each test, shape (n, w)."""
         return self._each.values
 
-    def of_replicates(self, number: int) -> list[list[float]]:
-        """Return the first so many contributions to each test, or all that it has."""
-        found = self.each[:, :number]
-        if not np.isnan(found).any():
-            return list(found.tolist())
-        return [row[~np.isnan(row)].tolist() for row in found]
+    def of_replicates(self, number: int) -> Iterator[list[float]]:
+        """Yield the first so many contributions to each test, or all that it has."""
+        return (row[~np.isnan(row)].tolist() for row in self.each[:, :number])
 
     def add(self, observed: Iterable[Observed], bound: BoundFact) -> None:
         """Add the observations since the last bound, and the one that follows from them."""

@@ -90,12 +90,10 @@ def violating_starts(directory: Path, header: Header) -> list[ViolatingStart]:
     """
     names = [problem.name for problem in header.config.problems]
     values = [each for variant in VARIANTS for each in read_values(directory, variant, names)]
-    violating = {start for each in filter(_violates, values) for _, start, found in each.each() if min(found) < 0.0}
+    violating = {each.start(place) for each in filter(_violates, values) for place in each.below_zero()}
     starts: dict[bytes, ViolatingStart] = {}
     for each in values if violating else ():
-        for test, start, found in each.each():
-            if start not in violating:
-                continue
+        for test, start, found in each.each(each.places_of(violating)):
             x, worst = tuple(np.frombuffer(start).tolist()), min(found)
             before = starts.get(start, ViolatingStart(x, 0, 0, math.inf, each.series, test))
             violations = before.violations + sum(value < 0.0 for value in found)

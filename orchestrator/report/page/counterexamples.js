@@ -32,8 +32,9 @@ function violatingGroups(report, violating) {
   const rule = report.axes.length && violating.starts > 1 ? ` Starts are in one group if they, or starts between them, differ by at most ${num(100 * near)} % of its range in every parameter.` : "";
   const element = (group, k) => groupElement(report, group, k, { rollouts, unit });
   const rest = groups.slice(FIRST_STARTS);
+  const listed = report.counterexamples.length < report.violations ? ` The list of rollouts has the worst ${count(report.counterexamples.length)}; the numbers count all of them.` : "";
   return [
-    el("p.muted", `${plural(violating.starts, "start")} in ${plural(groups.length, "group")}, the worst first.${rule} The list of rollouts has the worst ${count(report.counterexamples.length)}; the numbers count all of them.`),
+    el("p.muted", `${plural(violating.starts, "start")} in ${plural(groups.length, "group")}, the worst first.${rule}${listed}`),
     groups.slice(0, FIRST_STARTS).map(element),
     rest.length ? el("details.more", { "data-paper": "folded" }, el("summary", `${plural(rest.length, "further group")}`), rest.map((group, k) => element(group, FIRST_STARTS + k))) : null,
     violating.other_starts ? el("p", `and ${plural(violating.other_starts, "further start")}, less bad: ${count(violating.other_violations)} of ${plural(violating.other_rollouts, "rollout")}.`) : null,
@@ -75,7 +76,7 @@ function startRollouts(report, start, { rollouts, unit }) {
   const listed = rollouts.get(start.x.join()) ?? [];
   const missing = start.violations - listed.length;
   return [
-    el("p", el("button", { "data-select": `${start.problem}:${start.test}` }, `Show test ${start.test} of ${words(start.problem)}`)),
+    el("p", el("button", { "data-select": `${start.problem}:${start.test}` }, `Show test ${count(start.test)} of ${words(start.problem)}`)),
     listed.length ? rolloutList(report, listed, { unit, at: true }) : null,
     missing > 0 ? el("p.muted", `${listed.length ? `and ${count(missing)} more` : plural(missing, "rollout")}, in counterexamples.csv`) : null,
   ];
@@ -83,12 +84,12 @@ function startRollouts(report, start, { rollouts, unit }) {
 
 /** A table of rollouts; `at` tells that their start is named above it. */
 function rolloutList(report, rollouts, { unit = robustnessUnit(report), at = false } = {}) {
-  const name = (each) => `${words(each.problem)}, test ${each.test}`;
+  const name = (each) => `${words(each.problem)}, test ${count(each.test)}`;
   const test = (each) => el("button", { "data-select": `${each.problem}:${each.test}` }, name(each));
   const cells = (each) => (at ? [name(each), words(each.variant)] : [test(each), words(each.variant), place(each.x, report.axes)]);
   const list = (some) => rolloutTable(["Test", "Variant", ...(at ? [] : ["Start"])], some, cells, { unit, onPaper: PAPER_ROWS, where: "in counterexamples.csv" });
   const rest = rollouts.slice(FIRST_ROWS);
-  return [list(rollouts.slice(0, FIRST_ROWS)), rest.length ? el("details.more.screen", { "data-paper": "folded" }, el("summary", `${rest.length} more`), list(rest)) : null, rest.length ? el("p.on-paper", `and ${count(rest.length)} more, in counterexamples.csv`) : null];
+  return [list(rollouts.slice(0, FIRST_ROWS)), rest.length ? el("details.more.screen", { "data-paper": "folded" }, el("summary", `${count(rest.length)} more`), list(rest)) : null, rest.length ? el("p.on-paper", `and ${count(rest.length)} more, in counterexamples.csv`) : null];
 }
 
 function rolloutsByStart(rollouts) {

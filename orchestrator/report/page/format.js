@@ -1,12 +1,18 @@
 // Numbers, units and times as text.
 
-/** Four significant digits, a small number without an exponent; a dash where there is no number. */
+/** Four significant digits, a small number without an exponent, thousands apart; a dash where there is no number. */
 function num(value, digits = 4) {
   if (value === null || value === undefined) return "\u2013";
   const size = Math.abs(value);
   if (size > 1e-10 && size < 1e-4) return plainly(value, digits - 1 - Math.floor(Math.log10(size)));
   if (size !== 0 && (size < 1e-4 || size >= 1e7)) return value.toExponential(digits - 1);
-  return String(Number(value.toPrecision(digits)));
+  return thousands(String(Number(value.toPrecision(digits))));
+}
+
+/** A number as text, with its thousands apart: "-1,234.5678". */
+function thousands(text) {
+  const [whole, ...after] = text.split(".");
+  return [whole.replace(/\B(?=(\d{3})+$)/g, ","), ...after].join(".");
 }
 
 /** A unit for text; "1" is none. */
@@ -111,6 +117,6 @@ function ticks(low, high, wanted) {
   const step = [1, 2, 5, 10].map((each) => each * power).find((each) => each >= raw * 0.999);
   const found = [];
   const decimals = Math.min(Math.max(0, -Math.floor(Math.log10(step) + 1e-9)), 12);
-  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + step * 1e-9; k += 1) found.push([k * step, (k * step).toFixed(decimals)]);
+  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + step * 1e-9; k += 1) found.push([k * step, thousands((k * step).toFixed(decimals))]);
   return found;
 }

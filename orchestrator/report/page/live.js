@@ -96,6 +96,7 @@ function follow(wait = RETRY) {
     show(report);
     if (report.state === "finished") end(source); // at once: the server ends before the next frame of the screen
   });
+  source.addEventListener("fault", (event) => document.getElementById("reading")?.replaceChildren(event.data));
   source.onopen = () => setConnection("live");
   source.onerror = () => {
     setConnection("lost");

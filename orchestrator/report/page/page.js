@@ -229,6 +229,7 @@ function start() {
   for (const query of [dark, onPaper]) query.addEventListener("change", draw);
   new ResizeObserver(onResize).observe(document.getElementById("page"));
   if (text !== "") page.report = JSON.parse(text);
+  else document.getElementById("page").append(el("p#reading", "Reading the campaign\u2026"));
   draw();
   if (page.live !== null) follow();
 }

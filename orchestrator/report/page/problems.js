@@ -22,7 +22,7 @@ function problemSection(report, index, shown, selected) {
     { "data-problem": problem.name },
     el("h2", nameElement(words(problem.name) + (problem.requirement === null ? "" : `: ${problem.requirement}`)), el("span.muted", ` ${sentence(problem.objective, 200)}; method ${words(problem.method)}`)),
     problemFacts(problem),
-    problem.observed > problem.tests.test.length ? el("p.muted", `Pictures and lists have ${count(problem.tests.test.length)} of the tests: the worst half, and an even choice of the others.`) : null,
+    problem.observed > problem.tests.test.length ? el("p.muted", `Pictures and lists have ${count(problem.tests.test.length)} of the tests: the worst ones, and an even choice of the others.`) : null,
     problem.warnings.length ? el("ul.warnings", problem.warnings.map((line) => el("li", sentence(line)))) : null,
     el(
       "div.columns",
@@ -280,13 +280,13 @@ function worstTests(report, problem, selected) {
   const item = ({ x, rows }) => {
     const id = `${problem.name}:${test[rows[0]]}`;
     const current = selected?.problem === problem.name && rows.some((k) => test[k] === selected.test);
-    const more = rows.length > 1 ? `; ${rows.length} tests at this start` : "";
+    const more = rows.length > 1 ? `; ${count(rows.length)} tests at this start` : "";
     return el(
       "li",
       el(
         "button",
         { "data-test": id, "data-select": id, "aria-current": current ? "true" : null },
-        el("b", quantity(y[rows[0]], observedUnit(problem))), el("span", `test ${test[rows[0]]}`), el("span.muted.start", { title: place(x, report.axes) }, place(x, report.axes) + more),
+        el("b", quantity(y[rows[0]], observedUnit(problem))), el("span", `test ${count(test[rows[0]])}`), el("span.muted.start", { title: place(x, report.axes) }, place(x, report.axes) + more),
       ),
     );
   };
@@ -307,7 +307,7 @@ function freshItem(report, problem, { x, series, test, value, rollouts, violatio
     el(
       "button",
       { "data-test": id, "data-select": id, "aria-current": selected?.problem === series && selected.test === test ? "true" : null },
-      el("b.bad", quantity(value, observedUnit(problem))), el("span", `${words(series)} ${test}`), el("span.muted.start", { title: start }, `${start}; ${found}`),
+      el("b.bad", quantity(value, observedUnit(problem))), el("span", `${words(series)} ${count(test)}`), el("span.muted.start", { title: start }, `${start}; ${found}`),
     ),
   );
 }

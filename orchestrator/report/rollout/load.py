@@ -1,20 +1,22 @@
 """A recorded rollout: its fact, its file, and its request."""
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import sqlalchemy as sa
 from sqlalchemy import Connection
 
+from ....schemas.base import canonical_json
 from ....schemas.batch import BatchRequest
-from ....schemas.errors import EvidenceError, PerfboundError
-from ....schemas.ids import RolloutId
+from ....schemas.errors import EvidenceError, PerfboundError, one_line
+from ....schemas.ids import RECHECK, RolloutId, closing_check
 from ....schemas.result.facts import Header, RolloutFact
-from ....schemas.rollout import RolloutRequest
+from ....schemas.rollout import RolloutRequest, WithinBatch
 from ....schemas.trajectory.trajectory import Trajectory
 from ...store import tables
-from ...store.changes import proposal_in, rollouts_in
-from ...store.read import read_header, reading
+from ...store.changes import batch_in, proposal_in, rollouts_in
+from ...store.read import failures, read_header, reading
 from .of_tests import read_batch_of, read_recorded
 
 _rollouts = tables.rollouts.c
@@ -53,16 +55,54 @@ def load_recorded(directory: Path, text: str) -> RecordedRollout:
     try:
         file = read_recorded(directory, fact)
     except EvidenceError as error:  # a replay can restore a damaged file
-        batch = read_batch_of(directory, fact).requested if whole and not fact.kept else None
-        return RecordedRollout(header, fact, request, None, str(error), batch)
+        repeated = read_batch_of(directory, fact).requested if whole and not fact.kept else None
+        return RecordedRollout(header, fact, request, None, str(error), repeated)
+    # As its seed, the batch that a recheck repeats.
+    if (within := file.request.get("within")) and closing_check(fact.rollout.problem) == RECHECK:
+        with suppress(ValueError):  # of anyone's file: then it is another request
+            batch = WithinBatch.model_validate_json(canonical_json(within))
+            request = template.request(fact.rollout, x, fact.seed, within=batch)
     # The digest proves that this is the recorded file, not that its worker simulated this request.
     if file.request != request.model_dump(mode="json"):
         raise EvidenceError(
             f"{directory / fact.path}: it belongs to another request than the one that follows from the facts; "
             "check the campaign with `perfbound verify`"
         )
-    batch = read_batch_of(directory, fact).requested if whole else None
-    return RecordedRollout(header, fact, request, file.trajectory, batch=batch)
+    repeated = read_batch_of(directory, fact).requested if whole else None
+    return RecordedRollout(header, fact, request, file.trajectory, batch=repeated)
+
+
+def load_batch(directory: Path, recorded: RecordedRollout) -> list[RecordedRollout]:
+    """Return the rollouts in the file of a recorded one that have samples there, in their order.
+
+    Raises:
+        JournalError: the database cannot be read.
+        EvidenceError: the file is missing or damaged.
+
+    """
+    header, fact = recorded.header, recorded.fact
+    if not fact.batch:
+        return [recorded]
+    with reading(directory) as connection:
+        facts = {each.rollout: each for each in batch_in(connection, directory, fact) if each.kept}
+    file = read_batch_of(directory, fact)
+    places = ((place, facts[each]) for place, each in enumerate(file.requested.rollouts) if each in facts)
+    return [
+        RecordedRollout(header, each, file.requested.single(place), file.batch.trajectory(place))
+        for place, each in places
+    ]
+
+
+def description(found: RecordedRollout) -> str:
+    """Return system, variant, start, seed and robustness of a rollout in one line."""
+    request, spec = found.request, found.header.spec
+    start = ", ".join(
+        f"{each.name} = {value:g} {each.unit}".removesuffix(" 1")
+        for each, value in zip(spec.parameters, request.x, strict=True)
+    )
+    score = "" if found.fact.robustness is None else f", robustness {found.fact.robustness:.6g}"
+    score += "; its sign may depend on a time stamp close to a border of a window" if found.fact.by_tolerance else ""
+    return f"{spec.name}, {request.variant}, {start}, seed {request.seed}{score}"
 
 
 def _find(connection: Connection, header: Header, directory: Path, text: str) -> tuple[RolloutFact, tuple[float, ...]]:
@@ -75,7 +115,9 @@ def _find(connection: Connection, header: Header, directory: Path, text: str) ->
     found = {fact.rollout: fact for fact in rollouts_in(connection, directory, rollout.problem, rollout.test)}
     if rollout not in found:
         existing = _existing(connection, header, rollout, [str(each) for each in sorted(found)])
-        raise PerfboundError(f"{directory}: no rollout {rollout} is recorded; {existing}")
+        failed = [each.failure.reason for each in failures(directory) if each.attempt.rollout == rollout]
+        what = f"rollout {rollout} failed: {one_line(failed[-1])}" if failed else f"no rollout {rollout} is recorded"
+        raise PerfboundError(f"{directory}: {what}; {existing}")
     return found[rollout], proposal_in(connection, directory, rollout.problem, rollout.test).x
 
 
@@ -88,9 +130,11 @@ def _existing(connection: Connection, header: Header, rollout: RolloutId, of_tes
     """Return the nearest choice: rollouts of the test, tests of the problem, or the problems."""
     if of_test:
         return f"choose one of its test: {', '.join(of_test[:4])}{', ...' if len(of_test) > 4 else ''}"
-    last = connection.execute(sa.select(sa.func.max(_rollouts.test)).where(_rollouts.problem == rollout.problem))
-    if (number := last.scalar()) is not None:
-        return f"choose a test of {rollout.problem} from 0 to {number}"
+    # A row has the rollouts of one test, or of the tests of a batch.
+    last = sa.func.max(_rollouts.test + _rollouts.places / _rollouts.replicates - 1)
+    number = connection.execute(sa.select(last).where(_rollouts.problem == rollout.problem)).scalar()
+    if number is not None:
+        return f"choose a test of {rollout.problem} from 0 to {number:,.0f}"
     first = sa.func.min(_rollouts.seq)
     recorded = connection.execute(sa.select(_rollouts.problem).group_by(_rollouts.problem).order_by(first)).scalars()
     names = dict.fromkeys([*recorded, *(problem.name for problem in header.config.problems)])

@@ -16,7 +16,7 @@ from ...mathematics.stl.over_time import robustness_signal
 from ...mathematics.stl.tree import Formula
 from . import curves
 from .comparison import Deviation, compare, lines
-from .load import RecordedRollout, load_recorded
+from .load import RecordedRollout, description, load_recorded
 
 
 def replay_rollout(
@@ -40,7 +40,7 @@ def replay_rollout(
     # As in `verify`: a run directory may be untrusted, and must not name code that runs here.
     if found.header.config.system.kind != "name" and system is None:
         raise PerfboundError(f"{found.header.spec.name} is a system in a file: name it with --system")
-    yield _title_line(found)
+    yield _title(found)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "again.mcap"
         again, digest = _resimulated(found, path, system)
@@ -77,15 +77,8 @@ def _resimulated(found: RecordedRollout, path: Path, system: str | None) -> tupl
     return again, digest_of(again).hex() if found.fact.batch else hashlib.sha256(data).hexdigest()
 
 
-def _title_line(found: RecordedRollout) -> str:
-    request, spec = found.request, found.header.spec
-    start = ", ".join(
-        f"{each.name} = {value:g} {each.unit}".removesuffix(" 1")
-        for each, value in zip(spec.parameters, request.x, strict=True)
-    )
-    score = "" if found.fact.robustness is None else f", robustness {found.fact.robustness:.6g}"
-    score += "; its sign may depend on a time stamp close to a border of a window" if found.fact.by_tolerance else ""
-    return f"{found.fact.rollout}: {spec.name}, {request.variant}, {start}, seed {request.seed}{score}"
+def _title(found: RecordedRollout) -> str:
+    return f"{found.fact.rollout}: {description(found)}"
 
 
 def _digest_fault(found: RecordedRollout, digest: str) -> str:
@@ -123,7 +116,7 @@ def _picture(found: RecordedRollout, again: Trajectory) -> bytes:
     margin = margins(curves.formula(header), again)
     return picture.drawn(
         picture.Picture(
-            title=_title_line(found),
+            title=_title(found),
             again=again,
             recorded=found.trajectory,
             panels=tuple(

@@ -49,6 +49,8 @@ MOST_FILES = 4
 """Files read at the same time."""
 KEEP_ALIVE = 15.0
 """Seconds without a change after which a stream sends a comment, so that proxies keep it open."""
+FIRST_PICTURE = 1.0
+"""Seconds in which a page is there, with the data or without."""
 RETRY, COMMENT = b"retry: 1000\n\n", b": still here\n\n"
 JSON, EVENTS = "application/json", "text/event-stream"
 _NUMBER = re.compile("[0-9]{1,9}")
@@ -98,8 +100,10 @@ class _Endpoints:
         self._directory, self._snapshots, self._limits, self._index = directory, snapshots, limits, index
 
     async def page(self, _: Request) -> Response:
-        snapshot = await self._snapshots.available()
-        html, policy = document.served_page(snapshot.title, snapshot.json, self._index)
+        # A long campaign takes seconds to read for the first time: the page says so, and its events bring the data.
+        snapshot = await self._snapshots.soon(FIRST_PICTURE)
+        title, data = (self._directory.name, "") if snapshot is None else (snapshot.title, snapshot.json)
+        html, policy = document.served_page(title, data, self._index)
         return HTMLResponse(html, headers={"Content-Security-Policy": f"{policy}; frame-ancestors 'none'"})
 
     async def data(self, _: Request) -> Response:
@@ -155,8 +159,11 @@ class _Endpoints:
         self._limits.streams[self._directory] -= 1
 
     async def _stream(self) -> AsyncIterator[bytes]:
-        """Yield the data after every change, and at the end; a slow client skips intermediate snapshots."""
-        sent, sent_at = -1, time.monotonic()
+        """Yield the data after every change, and at the end; a slow client skips intermediate snapshots.
+
+        As long as the campaign was never readable, yield why.
+        """
+        sent, told, sent_at = -1, "", time.monotonic()
         yield RETRY
         while True:
             last = self._snapshots.closing.is_set()
@@ -164,6 +171,9 @@ class _Endpoints:
             if snapshot is not None and snapshot.number != sent:
                 sent, sent_at = snapshot.number, time.monotonic()
                 yield f"event: story\nid: {sent}\ndata: {snapshot.json}\n\n".encode()
+            elif snapshot is None and self._snapshots.error != told:
+                told, sent_at = self._snapshots.error, time.monotonic()
+                yield f"event: fault\ndata: {one_line(told)}\n\n".encode()
             elif time.monotonic() - sent_at >= KEEP_ALIVE:
                 sent_at = time.monotonic()
                 yield COMMENT

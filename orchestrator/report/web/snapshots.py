@@ -47,11 +47,14 @@ class SnapshotCache:
         self.report = report
         self._collector = collector
         self._one_at_a_time = one_at_a_time or asyncio.Lock()  # of all campaigns of one server
+        self._reading: asyncio.Task[Snapshot | None] | None = None
+        """The last one for a page, which goes on where the page does not wait for it."""
         self._due = 0.0
         self._final = False
         self._snapshot: Snapshot | None = None
         self._data: ReportData | None = None
-        self._error = ""
+        self.error = ""
+        """Why the last refresh failed."""
 
     def abandon(self) -> None:
         """Show the campaign as one that no process runs, from the next refresh on: its orchestrator has ended."""
@@ -76,8 +79,18 @@ class SnapshotCache:
         """
         snapshot = await self.latest()
         if snapshot is None:
-            raise PerfboundError(self._error)
+            raise PerfboundError(self.error)
         return snapshot
+
+    async def soon(self, most: float) -> Snapshot | None:
+        """Return the latest snapshot; None if there is none within `most` s. Raises as `available`."""
+        reading = self._reading
+        if reading is None or reading.done():
+            reading = self._reading = asyncio.create_task(self.latest())
+        done, _ = await asyncio.wait({reading}, timeout=most)
+        if done and reading.result() is None:
+            raise PerfboundError(self.error)
+        return reading.result() if done else None
 
     async def rollouts_of_test(self, problem: str, test: int) -> str:
         """Return the rollouts of a test as JSON.
@@ -115,6 +128,6 @@ class SnapshotCache:
             self._snapshot, self._data = Snapshot(number, data.name, to_json(data)), timeless
 
     def _fail(self, error: str) -> None:
-        if error != self._error:  # the same error every second is reported once
-            self._error = error
+        if error != self.error:  # the same error every second is reported once
+            self.error = error
             self.report(error)

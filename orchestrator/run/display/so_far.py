@@ -192,7 +192,7 @@ def _link_down_since(status: RunStatus) -> float | None:
 def _rollout_counts(ledger: Ledger) -> RolloutCounts:
     header, plans = ledger.header, ledger.plans
     spot = spot_check_plan(header, plans.values())
-    checked = (spot.count(header.config.spot_check), spot.count(spot.max_tests)) if spot else (0, 0)
+    checked = (spot.count(header.config.spot_check), spot.count(spot.most_tests)) if spot else (0, 0)
     repeated = header.config.recheck if Recheck.wanted(header) else 0
     return RolloutCounts({name: len(plan.rollouts) for name, plan in plans.items()}, checked, repeated)
 

@@ -4,6 +4,7 @@ import json
 import random
 import re
 import shlex
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -78,6 +79,40 @@ def test_workers_and_kills_change_no_byte(started: Processes, tmp_path: Path) ->
     checked = started.run("perfbound", "verify", "calm", "--resimulate", "40", "--system", tmp_path / "drift.py:drift")
     assert checked.code == 0, checked.out + checked.err
     assert "VERIFIED" in checked.out
+
+
+IN_PART = SYSTEM.replace("return a[", "return np.where((len(a) > 1) & (seeds % 7 == 0), np.nan, a)[")
+"""In a batch some rollouts fail, always the same ones, and alone they succeed."""
+
+
+def test_batches_that_fail_in_part_have_one_certificate(started: Processes, tmp_path: Path) -> None:
+    """Neither workers nor kills decide which rollouts are made again, or in which files they are."""
+    campaign = write(tmp_path)
+    campaign.write_text(CAMPAIGN.replace("6000", "2000"))
+    (tmp_path / "drift.py").write_text(IN_PART)
+    assert started.run("perfbound", "run", campaign, "--out", "one", "--workers", "1").code == 0
+    assert started.run("perfbound", "run", campaign, "--out", "three", "--workers", "3").code == 0
+    directory = tmp_path / "killed"
+    run: tuple[str | Path, ...] = ("run", campaign, "--out", directory, "--workers", "2")
+    for goal in (200, 1200):
+        running = started.start("perfbound", *run)
+        wait_for(partial(has_rollouts, directory, goal))
+        running.popen.kill()
+        running.wait()
+        assert not (directory / "certificate.json").exists(), "the kills have to come in mid-run"
+        run = ("resume", directory, "--workers", "2")
+    assert started.run("perfbound", *run).code == 0
+    for name in ("certificate.json", "manifest.sha256"):
+        assert len({(tmp_path / run / name).read_bytes() for run in ("one", "three", "killed")}) == 1
+    again = [path for path in (tmp_path / "one" / "trajectories").rglob("*.1.mcap") if path.stem.count(".") == 4]
+    assert len(again) > 200
+    assert statuses(directory)["reproducible_rollouts"][0] == "refuted"
+    checked = started.run("perfbound", "verify", "one")
+    assert checked.code == 0, checked.out + checked.err
+
+
+def has_rollouts(directory: Path, number: int) -> bool:
+    return recorded(directory) >= number
 
 
 UNIT = SYSTEM.replace("vectorised", "batch_is_the_unit=True, vectorised").replace("return a", "return len(a) + a")
@@ -156,3 +191,58 @@ def test_the_worst_alone_keep_their_samples(started: Processes, tmp_path: Path) 
     assert ended.code == 0, ended.out + ended.err
     assert "its samples were not kept" in ended.out
     assert "the trajectory is bitwise the same as the recorded one" in ended.out
+
+
+FRESH = SYSTEM.replace("import", "import time\nimport", 1).replace("return a", "time.sleep(0.03)\n    return a")
+BOUNDED = """name = "fresh"
+seed = 5
+horizon = 1.0
+specification = "x > -0.2"
+batch = 16
+clip = [-1.0, 2.0]
+spot_check_followups = 60
+
+[system]
+python = "drift.py:drift"
+
+[space]
+a = { low = 0, high = 1 }
+
+[[problems]]
+name = "robustness"
+method = "kriging"
+rkhs_norm = 1.0
+max_tests = 64
+kernel = { nu = 2.5, length_scale = 0.7 }
+"""
+
+
+def test_a_spot_check_in_batches_survives_kills(started: Processes, tmp_path: Path) -> None:
+    campaign = write(tmp_path)
+    (tmp_path / "drift.py").write_text(FRESH.replace("0.1 *", "1.0 *"))
+    campaign.write_text(BOUNDED)
+    calm = started.run("perfbound", "run", campaign, "--out", "calm", "--workers", "3")
+    assert calm.code == 0, calm.err
+    files = [path.stem.split(".") for path in (tmp_path / "calm" / "trajectories").rglob("spot_check.*.mcap")]
+    batches = [each for each in files if len(each) == 5]
+    assert len(batches) == 19, "299 starts in batches of 16"
+    assert len(files) > len(batches), "a follow-up is a file of its own"
+    directory = tmp_path / "killed"
+    run: tuple[str | Path, ...] = ("run", campaign, "--out", directory, "--workers", "1")
+    for goal in (5, 19 + 8):
+        running = started.start("perfbound", *run)
+        wait_for(partial(reached, directory, goal))
+        running.popen.kill()
+        running.wait()
+        run = ("resume", directory, "--workers", "2")
+    assert not (directory / "certificate.json").exists(), "the kills have to come in mid-check"
+    assert started.run("perfbound", *run).code == 0
+    certificate = (tmp_path / "calm" / "certificate.json").read_bytes()
+    assert (directory / "certificate.json").read_bytes() == certificate
+    verify = ("perfbound", "verify", "calm", "--resimulate", "30", "--system", tmp_path / "drift.py:drift")
+    checked = started.run(*verify)
+    assert checked.code == 0, checked.out + checked.err
+
+
+def reached(directory: Path, files: int) -> bool:
+    return len(query(directory, "SELECT seq FROM rollouts WHERE problem = 'spot_check'")) >= files

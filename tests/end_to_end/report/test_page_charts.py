@@ -20,6 +20,11 @@ browser = chromium.browser
 PLOT = "charts.get(document.getElementById('bound-0'))"
 LEVELS = f"() => {PLOT}.overlay"
 RANGE = f"() => {{ const {{ min, max }} = {PLOT}.plot.scales.y; return [min, max]; }}"
+AXES = f"""() => {{
+    const axes = {PLOT}.plot.axes;
+    return [axes[1]._size, axes[1]._values.map(textWidth), axes.map((each) => each._values)];
+}}"""
+NAMES = f"() => [gutter({PLOT}.overlay), {PLOT}.overlay.levels.map(({{ label }}) => textWidth(label))]"
 BARE = """() => [...document.querySelectorAll("section.problem figure")]
     .filter((each) => each.querySelector("canvas, svg"))
     .filter((each) => !each.closest("figure:has(.caption)"))
@@ -92,6 +97,28 @@ def test_the_names_of_lines_do_not_overlap(browser: Browser, tmp_path: Path) -> 
             assert 0 <= ordered[0] <= ordered[-1] <= 100
             order = sorted(range(len(rows)), key=lambda k: rows[k])
             assert [wanted[k] for k in order] == sorted(wanted)
+
+
+def long_numbers(report: page.ReportData) -> page.ReportData:
+    """Tests up to 1,100,000 with bounds of some millionths, as after a million rollouts."""
+    problem = report.problems[0]
+    small = tuple(k * 1e-6 for k in range(12))
+    tests = replace(problem.tests, test=tuple(100_000 * k for k in range(12)), y=small, lower=small, upper=small)
+    charts = replace(problem.charts, required=8.25e-6, clip=(None, None), of_robustness=False, rollouts=None)
+    return replace(report, problems=(replace(problem, tests=tests, charts=charts, bound=4.75e-6),))
+
+
+def test_long_numbers_have_room_and_their_thousands_apart(browser: Browser, tmp_path: Path) -> None:
+    with opened(browser, tmp_path, long_numbers(example_reports.charted())) as watch:
+        size, widths, texts = watch.page.evaluate(AXES)
+        assert size >= 8 + max(widths), "no number is under the label of its axis"
+        assert "0.0000075" in texts[1]
+        assert "200,000" in texts[0]
+        room, names = watch.page.evaluate(NAMES)
+        assert room >= 9 + max(names), "no name of a line is squeezed"
+        assert "test 700,000" in watch.page.locator("div.worst").inner_text()
+        shown = watch.page.evaluate("[0, -999.5, 1000, -12345.678, 1234567.8, 1e7, 1e-5].map((value) => num(value))")
+        assert shown == ["0", "-999.5", "1,000", "-12,350", "1,235,000", "1.000e+7", "0.00001"]
 
 
 def test_a_first_bound_far_away_flattens_nothing_and_is_told(browser: Browser, tmp_path: Path) -> None:

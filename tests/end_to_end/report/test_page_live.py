@@ -52,6 +52,26 @@ class Campaign:
         self.watch.page.wait_for_selector(f"#map-0[data-tests='{tests}']")
 
 
+def test_a_page_without_data_says_so_and_draws_what_the_events_bring(browser: Browser) -> None:
+    """A campaign of a million rollouts takes seconds to read for the first time."""
+    events = ["event: fault\ndata: runs/a: no campaign here\n\n", ""]
+
+    def answer(route: Route) -> None:
+        if route.request.url.endswith("/events"):
+            text = events.pop(0) if events else f"event: story\ndata: {to_json(example_reports.running(4))}\n\n"
+            route.fulfill(content_type="text/event-stream", body=f"retry: 200\n\n{text}")
+        else:
+            route.fulfill(content_type="text/html", body=html.served_page("live", "").html)
+
+    with chromium.watched(browser) as watch:
+        watch.page.route(f"{ORIGIN}/**", answer)
+        watch.page.goto(f"{ORIGIN}/")
+        watch.page.wait_for_selector("#reading:text('no campaign here')")
+        watch.shown()
+        assert watch.page.locator("#reading").count() == 0
+        assert watch.errors == []
+
+
 @pytest.fixture
 def campaign(browser: Browser) -> Iterator[Campaign]:
     with chromium.watched(browser) as watch:

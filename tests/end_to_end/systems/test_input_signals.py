@@ -93,7 +93,7 @@ def test_a_claim_over_six_parameters_is_confirmed_by_random_starts(started: Proc
     ended = started.run("perfbound", "run", tmp_path / "follow.toml", "--out", tmp_path / "run")
     assert ended.code == 0, ended.err
     assert "robustness: the claim is about the worst of 4,096 fixed starts, spread over the ranges of 6" in ended.err
-    assert "CLAIM  robustness at the worst of the 4096 listed starts >= 1.1364 m" in ended.out
+    assert "CLAIM  robustness at the worst of the 4,096 listed starts >= 1.1364 m" in ended.out
     verify = ("perfbound", "verify", tmp_path / "run", "--resimulate", "3", "--system")
     verified = started.run(*verify, f"{tmp_path / 'follow.py'}:follow")
     assert verified.code == 0, verified.out

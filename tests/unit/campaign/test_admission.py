@@ -298,7 +298,7 @@ def test_a_rollout_that_is_discarded_is_no_suspect_and_contradicts_nothing(stuck
             "SELECT worker FROM outcomes WHERE outcome = 'recorded' AND rollout = ?", [str(ODD)]
         ).fetchall()
         values = [("outvoted", "sim_gap.0.true.0", liar), ("reviewed", str(ODD), "another")]
-        connection.executemany("INSERT INTO opinions VALUES (NULL, ?, ?, 1, ?, 'other', 0.0)", values)
+        connection.executemany("INSERT INTO opinions VALUES (NULL, ?, ?, 1, ?, 'other', 0.0, NULL)", values)
     assert read.contradicted(stuck) == [str(ODD)]
     discard_rollout(stuck, str(ODD), "odd")
     assert read.contradicted(stuck) == []

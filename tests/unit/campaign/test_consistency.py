@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from perfbound.orchestrator.campaign import consistency
@@ -107,7 +108,7 @@ def test_a_length_per_parameter_has_its_own_unit_and_spacing() -> None:
 
 
 def test_the_robustness_of_the_replicates() -> None:
-    each = [(0.1, 0.2), (0.3,)]
+    values = np.array([0.1, 0.2, 0.3])
     for campaign, number, wanted in [
         ("segway-pair", 0, [-0.1, -0.2, -0.3]),  # of J = -rho
         ("segway-pair", 1, []),  # a gap
@@ -115,4 +116,4 @@ def test_the_robustness_of_the_replicates() -> None:
         ("segway-direct", 0, [0.1, 0.2, 0.3]),
         ("test-function", 0, []),  # a column
     ]:
-        assert consistency.robustness_of(config(campaign).problems[number], each) == wanted
+        assert consistency.robustness_of(config(campaign).problems[number], values).tolist() == wanted

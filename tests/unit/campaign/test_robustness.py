@@ -165,8 +165,8 @@ def test_the_robustness_is_found_in_the_replicates() -> None:
         config().problems[0],
         config(system=TWIN, problem=SCENARIO, space=LIST, clip=[-0.5, 1.2]).problems[0],
     )
-    assert robustness_of(exact, [(-0.1, -0.2), (0.3,)]) == [0.1, 0.2, -0.3]
-    assert robustness_of(listed, [(0.1, 0.2), (-0.3,)]) == [0.1, 0.2, -0.3]
+    assert robustness_of(exact, np.array([-0.1, -0.2, 0.3])).tolist() == [0.1, 0.2, -0.3]
+    assert robustness_of(listed, np.array([0.1, 0.2, -0.3])).tolist() == [0.1, 0.2, -0.3]
 
 
 def test_a_specification_beside_a_column_alone_has_no_robustness() -> None:

@@ -182,7 +182,7 @@ def test_a_number_below_0_and_a_list_are_refused() -> None:
     with pytest.raises(IndexError, match="start -1 of a design"):
         Draws(fixed(), "a").start(-1)
     with pytest.raises(TypeError, match="list of scenarios"):
-        Draws(fixed(Scenarios(scenarios=((1.0, 2.0),))), "a")
+        Draws(fixed(Scenarios(scenarios=((1.0, 2.0),))), "a").start(0)
 
 
 def test_a_distribution_of_another_unit_is_refused_before_the_campaign() -> None:

@@ -218,6 +218,32 @@ def test_an_extension_fills_the_window_and_leaves_answered_problems_as_they_are(
     assert state.problems[1].standing == "answered"
 
 
+def test_tests_that_follow_batches_come_one_by_one_after_all_of_them() -> None:
+    """The first of them is chosen by every observation before it, however few blocks there are."""
+    plan = Plan("p", 3, 5, PAIR, later=(5, (("true", 0),)), batch=2, block=2, followups=4)
+    state = replay((plan,), [Proposed("p", test) for test in (0, 2, 4)])
+    for first in (0, 2, 4):
+        for variant in ("nominal", "true"):
+            state, actions = step(state, Recorded(rollout(first, variant)))
+        assert actions == (Observe("p", first),)
+        state, actions = step(state, Observed("p", first))
+        assert_invariants(state)
+    assert actions == (Propose("p", 5),)
+    for test in (5, 6, 7):
+        state, actions = step(state, Proposed("p", test))
+        assert actions[0] == Simulate((rollout(test, "true"),))
+    assert len(actions) == 1, "the window is full"
+    assert outstanding(state) == (Simulate(tuple(rollout(test, "true") for test in (5, 6, 7))),)
+    for test in (5, 6, 7, 8):
+        state, actions = step(state, Recorded(rollout(test, "true")))
+        state, actions = step(state, Observed("p", test))
+        if test == 5:
+            state, _ = step(state, Proposed("p", 8))
+        assert_invariants(state)
+    assert actions == (Certify(),)
+    assert state.problems[0].stopped_by == "budget"
+
+
 def test_what_still_runs_at_the_stop_is_withdrawn() -> None:
     history = [*HISTORY["complete"], Proposed("p", 1), Proposed("p", 2), Recorded(rollout(1))]
     state, actions = step(replay((a_plan(window=3),), history), Observed("p", 0, "converged"))

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rich.console import Console
+from rich.progress import Progress
 
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.issue import issue, manifest
@@ -25,6 +26,7 @@ from perfbound.orchestrator.certificate.verify.checks import ABSENT, CHECKS, Che
 from perfbound.orchestrator.certificate.verify.manifest import parse_manifest
 from perfbound.orchestrator.certificate.verify.rerun import Rerun
 from perfbound.orchestrator.certificate.verify.run import Verification, verify_certificate
+from perfbound.orchestrator.certificate.verify.stages import stage_bars
 from perfbound.orchestrator.certificate.words import text
 from perfbound.orchestrator.fleet.children import simulate
 from perfbound.orchestrator.run import service
@@ -740,6 +742,18 @@ def test_values_may_differ_in_their_last_digit(a: float, b: float, *, same: bool
     assert (compare.difference(a, b, tolerance=compare.SIX_DIGITS) is None) is same
 
 
+def test_a_stage_of_one_step_has_no_share_before_its_end() -> None:
+    """Else its bar stands at 0 % for seconds, as if nothing happened."""
+    progress = Progress(disable=True)
+    report = stage_bars(progress)
+    shown = []
+    for stage, done, total in (("campaign", 0, 1), ("digests", 0, 7), ("digests", 3, 7), ("campaign", 1, 1)):
+        report(stage, done, total)
+        shown.append([(each.description, each.completed, each.total) for each in progress.tasks])
+    assert shown[0] == [("campaign", 0, None)]
+    assert shown[-1] == [("campaign", 1, 1), ("digests", 3, 7)]
+
+
 def test_an_interrupted_verification_says_what_it_has_checked(campaign: Path) -> None:
     def stops(stage: str, done: int, _: int) -> None:
         if stage == "campaign" and done == 2:
@@ -755,5 +769,5 @@ def test_an_interrupted_verification_says_what_it_has_checked(campaign: Path) ->
     )
     assert says(
         stopped.value.state,
-        f"^nothing verified skipped signature passed {passed} campaign at 2 of {number} not reached {missed}",
+        f"^nothing verified skipped signature passed {passed} campaign at 2 of {number} files not reached {missed}",
     )

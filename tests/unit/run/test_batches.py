@@ -19,6 +19,7 @@ from perfbound.orchestrator.fleet.dispatch.limits import Limits
 from perfbound.orchestrator.fleet.dispatch.opinions import PARTLY
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.run.collision import PoisonedError
+from perfbound.orchestrator.run.service import RunStatus
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.export import table_rows
 from perfbound.orchestrator.store.rows import DATABASE, work_name
@@ -26,6 +27,7 @@ from perfbound.schemas.errors import PerfboundError, Stopped
 from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.link.messages import ResultHeader
 from perfbound.schemas.trajectory.batch import Batch, encode_batch, read_batch, with_failures
+from tests.facts import says
 from tests.fakes.altering import AlteringUplink
 from tests.fakes.inmemory import InMemoryUplink, Log, Network, Wrap, begin, campaign, hurry, run_of, serve, working
 from tests.faults.verdict import REPRODUCIBLE, without
@@ -223,6 +225,19 @@ def test_a_batch_that_fails_as_a_whole_ends_the_campaign_and_no_rollout_is_blame
     assert error.value.request is None
 
 
+def test_what_is_under_way_or_waits_is_counted_in_rollouts(tmp_path: Path) -> None:
+    begin(directory := tmp_path / "run", a_config())
+    counts = list[int]()
+
+    def seen(status: RunStatus) -> bool:
+        counts.append(status.recorded + status.under_way + status.waiting)
+        return False
+
+    with Network() as network, working(network, run_of(directory), [lambda uplink: uplink]):
+        serve(directory, network, Log(), stop=seen)
+    assert set(counts) == {ROLLOUTS}
+
+
 # Second opinions
 
 
@@ -247,6 +262,25 @@ def test_failures_in_the_batches_of_one_worker_outvote_nobody(tmp_path: Path, ca
     assert {reason for (reason,) in query(directory, "SELECT outcome FROM outcomes WHERE kind = 'system'")} <= {
         PARTLY.reason
     }
+
+
+@pytest.mark.rest
+def test_failures_in_a_batch_of_before_a_restart_outvote_nobody(tmp_path: Path) -> None:
+    """The first opinion lacks a rollout that both later ones have."""
+    directory, config = tmp_path / "run", a_config(second_opinion=1.0)
+    begin(directory, config)
+
+    def compared(_: RunStatus) -> bool:
+        return bool(query(directory, "SELECT * FROM opinions WHERE length(digests) = 512"))
+
+    flaky: Wrap = lambda uplink: Altering(uplink, losing(1), batches=1)  # noqa: E731
+    with Network() as network, working(network, run_of(directory), [flaky]), pytest.raises(Stopped):
+        serve(directory, network, Log(), stop=compared)
+    with Network() as network, working(network, run_of(directory), [lambda uplink: uplink] * 2):
+        found = serve(directory, network, Log(), resumed=True)
+    assert query(directory, "SELECT worker FROM opinions WHERE kind = 'outvoted'") == []
+    assert PARTLY.reason in {reason for (reason,) in query(directory, "SELECT outcome FROM outcomes")}
+    assert assumption(found, "workers_honest")["status"] == "not refuted"
 
 
 def shifted(payload: bytes) -> bytes:
@@ -274,13 +308,17 @@ def test_what_an_outvoted_worker_recorded_in_batches_is_simulated_again(tmp_path
     with Network() as network, working(network, run_of(directory), [liar]), pytest.raises(Stopped):
         serve(directory, network, Log(), stop=lambda seen: seen.recorded >= 20)
     rows = outvote(directory)
+    log = Log()
     with Network() as network, working(network, run_of(directory), [lambda uplink: uplink] * 2):
-        found = serve(directory, network, Log(), resumed=True)
+        found = serve(directory, network, log, resumed=True)
     reviewed = {name for (name,) in query(directory, "SELECT rollout FROM opinions WHERE kind = 'reviewed'")}
     assert reviewed == {name for name, _ in rows}
     false = {name for name in reviewed if name.endswith(".16")}
     assert set(read.contradicted(directory)) == false, "a rollout that was made again alone is no false one"
-    assert assumption(found, "workers_honest")["values"]["count"] == len(false)
+    honest = assumption(found, "workers_honest")
+    assert (honest["values"]["count"], honest["form"]) == (len(false), "outvoted_in_batches")
+    several = sum(int(name.split(".")[4]) for name in reviewed)
+    assert any(says(line, f"{several} rollouts outvoted again") for line in log.lines)
     assert faults(directory) == []
 
 

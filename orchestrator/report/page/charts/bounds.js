@@ -138,7 +138,7 @@ function cutBounds(problem) {
     const rows = values.map((_, k) => k).filter((k) => values[k] !== null && outside(values[k]));
     if (!rows.length) continue;
     const far = extent(rows.map((k) => values[k]))[name === "lower" ? 0 : 1];
-    const which = rows.length === 1 ? `bound of test ${test[rows[0]]}` : `bounds of tests ${test[rows[0]]} to ${test[rows.at(-1)]}`;
+    const which = rows.length === 1 ? `bound of test ${count(test[rows[0]])}` : `bounds of tests ${count(test[rows[0]])} to ${count(test[rows.at(-1)])}`;
     parts.push(`the ${name} ${which}, as far as ${quantity(far, problem.unit)}`);
   }
   const observed = observedBesideBounds(problem).filter((value) => value !== null && (value < low || value > high));
@@ -204,7 +204,7 @@ function readBounds(plot, problem, index) {
     [upper[k], `upper bound ${boundText(upper[k], "<=", problem.unit)}`],
   ];
   const text = parts.filter(([value]) => value !== null && value !== undefined).map(([, each]) => each).join(", ");
-  document.getElementById(`read-bound-${index}`).textContent = `Test ${test[k]}: ${text}.`;
+  document.getElementById(`read-bound-${index}`).textContent = `Test ${count(test[k])}: ${text}.`;
 }
 
 function decayFigure(problem, index) {

@@ -10,6 +10,7 @@ const DARK = {
   blue: "#56b4e9", red: "#f28e4b", weak: "#31495c", strong: "#d4ecfb",
 };
 const FONT = '12px system-ui, -apple-system, "Segoe UI", Roboto, sans-serif';
+const AXIS = 52; // pixels beside a chart, for the numbers of its axis
 const onPaper = window.matchMedia("print");
 const dark = window.matchMedia("(prefers-color-scheme: dark)");
 let printing = false;
@@ -65,10 +66,24 @@ function chartOptions(host, spec, colours, entry = { overlay: null }) {
     cursor: { drag: { x: false, y: false }, points: { size: 7 } },
     legend: { show: spec.legend !== false },
     scales: { x: { time: false, range: spec.range }, y: { distr: spec.y.log ? 3 : 1, range: entry.overlay?.range ? () => entry.overlay.range : ownRange } },
-    padding: entry.overlay ? [18, GUTTER, null, null] : undefined,
-    axes: [axis({ label: spec.x, size: 30, values: names }), axis({ label: spec.y.label, size: 52, values: names })],
+    padding: entry.overlay ? [18, () => gutter(entry.overlay), null, null] : undefined,
+    axes: [axis({ label: spec.x, size: 30, values: names }), axis({ label: spec.y.label, size: axisWidth, values: names })],
     series: [{ label: spec.x, colour: "ink" }, ...spec.series].map((each) => chartSeries(each, colours)),
   };
+}
+
+/** The width of an axis beside its label, in pixels: more for long numbers, which would be under the label. */
+function axisWidth(plot, texts, k, cycle) {
+  if (cycle > 1) return plot.axes[k]._size; // as uPlot advises: else widths and numbers may go on changing one another
+  return Math.max(AXIS, Math.ceil(10 + Math.max(0, ...(texts ?? []).map(textWidth))));
+}
+
+const measure = document.createElement("canvas").getContext("2d");
+
+/** The width of a text in a chart, in pixels. */
+function textWidth(text) {
+  measure.font = FONT;
+  return measure.measureText(text).width;
 }
 
 function chartSeries(each, colours) {

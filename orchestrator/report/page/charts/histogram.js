@@ -18,7 +18,7 @@ function histogramFigure(drawn, id) {
 function drawnCaption(drawn) {
   const lines = drawn.marks.length ? " The lines with letters are the claimed bounds of the list." : "";
   const number = samplesOf({ drawn });
-  return `How often each robustness occurred in the first rollouts at ${count(number)} drawn starts: ${count(drawn.violations)} of them, red, violate the specification; the worst is ${quantity(drawn.least, drawn.unit)}, of test ${drawn.worst}.${lines}`;
+  return `How often each robustness occurred in the first rollouts at ${count(number)} drawn starts: ${count(drawn.violations)} of them, red, violate${drawn.violations === 1 ? "s" : ""} the specification; the worst is ${quantity(drawn.least, drawn.unit)}, of test ${count(drawn.worst)}.${lines}`;
 }
 
 /** Histograms of the robustness of all rollouts of a problem, one for each variant, over one axis. */
@@ -36,7 +36,7 @@ function rolloutFigure(problem, index) {
 }
 
 function variantCaption({ variant, rollouts, violations, least, test, at_clip: [low, high] }, { unit }, problem) {
-  const worst = `the worst is ${quantity(least, unit)}${low ? " or lower, which the clip hides" : ""}, of test ${test}`;
+  const worst = `the worst is ${quantity(least, unit)}${low ? " or lower, which the clip hides" : ""}, of test ${count(test)}`;
   const clipped = high ? ` ${count(high)} are at the upper end of the clip, or beyond it.` : "";
   const tested = problem.sense === "max" ? "" : " The method chose the starts, so this is no sample of all of them.";
   return `${words(variant)[0].toUpperCase()}${words(variant).slice(1)} system: how often each robustness occurred in ${plural(rollouts, "rollout")}; ${violations ? count(violations) : "none"} of them violate${violations > 1 ? "" : "s"} the specification, and ${worst}.${clipped}${tested}`;

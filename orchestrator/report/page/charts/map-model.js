@@ -340,6 +340,6 @@ function readout(model) {
 
 function dotText(problem, { rows }) {
   const { tests } = problem;
-  const worst = `test ${tests.test[rows[0]]} observed ${quantity(tests.y[rows[0]], observedUnit(problem))}`;
+  const worst = `test ${count(tests.test[rows[0]])} observed ${quantity(tests.y[rows[0]], observedUnit(problem))}`;
   return rows.length === 1 ? worst : `${rows.length} tests, the worst: ${worst}`;
 }

@@ -1,6 +1,6 @@
 // Lines over a chart with their names beside it: levels of its values, and the test after which a problem stopped.
 
-const GUTTER = 96; // pixels to the right of a chart, for the names of its levels
+const GUTTER = [96, 150]; // pixels to the right of a chart, for the names of its levels: at least, and at most
 const LABEL_HEIGHT = 14; // pixels between two names
 
 /**
@@ -16,6 +16,7 @@ function drawOverlay(plot, overlay, colours) {
   if (overlay.stop) drawStop(ctx, plot, overlay.stop, colours);
   const shown = overlay.levels.map((level) => ({ ...level, y: plot.valToPos(level.value, "y", true) })).filter(({ y }) => y >= bbox.top - 1 && y <= bbox.top + bbox.height + 1);
   const rows = spread(shown.map(({ y }) => y), LABEL_HEIGHT * ratio, bbox.top, bbox.top + bbox.height);
+  const room = gutter(overlay);
   shown.forEach(({ y, label, colour, dash, wide }, k) => {
     const right = bbox.left + bbox.width;
     ctx.strokeStyle = colours[colour];
@@ -27,9 +28,14 @@ function drawOverlay(plot, overlay, colours) {
     line(ctx, right, y, right + 6 * ratio, rows[k]);
     ctx.fillStyle = colours.ink;
     align(ctx, "left", "middle");
-    ctx.fillText(label, right + 9 * ratio, rows[k], (GUTTER - 10) * ratio);
+    ctx.fillText(label, right + 9 * ratio, rows[k], (room - 10) * ratio);
   });
   ctx.restore();
+}
+
+/** The pixels that the names of the levels need, within limits. */
+function gutter({ levels }) {
+  return Math.min(Math.max(GUTTER[0], ...levels.map(({ label }) => Math.ceil(textWidth(label)) + 10)), GUTTER[1]);
 }
 
 function drawStop(ctx, plot, { at, label }, colours) {

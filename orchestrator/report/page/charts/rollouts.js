@@ -17,7 +17,7 @@ function testSection(report, selected, data, live) {
   return el(
     "section#test",
     { "data-problem": selected.problem, "data-test": selected.test, "data-curves": data?.traces.length ?? 0, "aria-busy": String(data === undefined), tabindex: -1 },
-    el("h2", `Test ${selected.test} of `, nameElement(words(selected.problem)), problem ? el("span.switch", neighbourButton(problem, k, -1), neighbourButton(problem, k, 1), el("a.back", { href: `#problem-${index}` }, "show map")) : null),
+    el("h2", `Test ${count(selected.test)} of `, nameElement(words(selected.problem)), problem ? el("span.switch", neighbourButton(problem, k, -1), neighbourButton(problem, k, 1), el("a.back", { href: `#problem-${index}` }, "show map")) : null),
     rankedTests(report, selected),
     k >= 0 ? el("p", testText(report, problem, k)) : data?.x?.length ? el("p", `Start ${place(data.x, report.axes)}.`) : null,
     data?.error ? el("p.note.bad", short(data.error, 1000)) : null,
@@ -75,7 +75,7 @@ function noCurves(selected, data, live) {
   if (data === undefined) return "Loading the trajectories.";
   if (data) return "No curves: each rollout is a single number, or its file is unreadable.";
   if (live) return "This test has no trajectories yet.";
-  return `This report has no curves of this test. Its trajectories are the MCAP files of test ${selected.test} in trajectories/${short(selected.problem)}/.`;
+  return `This report has no curves of this test. Its trajectories are the MCAP files of test ${count(selected.test)} in trajectories/${short(selected.problem)}/.`;
 }
 
 /** The input signals of the test's start, one picture each. */

@@ -84,7 +84,8 @@ max_tests = {tests}
 """
 RECORDED = """
 SELECT outcomes.ended, rollouts FROM rollouts JOIN outcomes ON outcome = 'recorded'
-AND rollout = problem || '.' || test || '.' || variant || '.' || replicate ORDER BY outcomes.ended
+AND rollout = problem || '.' || test || '.' || variant || '.' || replicate || iif(places > 1, '.' || places, '')
+ORDER BY outcomes.ended
 """
 
 

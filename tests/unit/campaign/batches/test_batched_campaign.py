@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import perfbound as pb
 from perfbound.orchestrator.campaign.admission import admit_either, scored
 from perfbound.orchestrator.campaign.ledger import Ledger, Scored, observed_rollouts
 from perfbound.orchestrator.certificate import files
@@ -21,6 +22,7 @@ from perfbound.orchestrator.certificate.verify.resimulate import Resimulation, f
 from perfbound.orchestrator.certificate.verify.run import verify_certificate
 from perfbound.orchestrator.report.collect.campaign import Collector
 from perfbound.orchestrator.report.collect.violations import ranked_tests, violating_starts
+from perfbound.orchestrator.report.rollout.load import load_recorded
 from perfbound.orchestrator.store import facts as recorded_facts
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.export import table_rows
@@ -30,13 +32,14 @@ from perfbound.orchestrator.store.robustness import read_number_of_rollouts, rea
 from perfbound.schemas.batch import BatchRequest, work_of
 from perfbound.schemas.errors import JournalError
 from perfbound.schemas.file.config import CampaignConfig
-from perfbound.schemas.ids import Attempt, FileId
+from perfbound.schemas.ids import Attempt, FileId, RolloutId
 from perfbound.schemas.result.block_facts import BatchFact, BlockObservationFact, BlockProposalFact
 from perfbound.schemas.result.facts import RECORDED, Header, ObservationFact, RolloutFact
 from perfbound.schemas.trajectory.batch import Batch, with_failures
-from perfbound.schemas.trajectory.trajectory import Trajectory
+from perfbound.schemas.trajectory.trajectory import Trajectory, read_mcap
 from perfbound.workers.batch import run_on
 from perfbound.workers.systems import load_system
+from perfbound.workers.systems.base import SystemUnderTest
 from tests.fakes.finished import KERNEL, a_list, a_pair
 from tests.tampering import editing
 
@@ -67,12 +70,23 @@ def planned(batch: int, name: str = "robustness", **changes: Any) -> CampaignCon
     return config(batch=batch, resolution=4, problems=[{**problem, **changes}], composition="single", spot_check=0)
 
 
+def checked_afresh(**changes: Any) -> CampaignConfig:
+    return planned(8).model_copy(update=changes)
+
+
 class Play:
     """One campaign in this process; `failing` says which places of a batch fail at its first attempt."""
 
-    def __init__(self, directory: Path, chosen: CampaignConfig, failing: Callable[[BatchRequest], list[int]]) -> None:
+    def __init__(
+        self,
+        directory: Path,
+        chosen: CampaignConfig,
+        failing: Callable[[BatchRequest], list[int]],
+        system: SystemUnderTest | None = None,
+    ) -> None:
         self.directory, self._failing = directory, failing
-        self.header = Header.new(chosen, load_system("test-function").spec, {}, run="0" * 16)
+        self.system = system or load_system("test-function")
+        self.header = Header.new(chosen, self.system.spec, {}, run="0" * 16)
         self.journal = Journal.create(directory, self.header)
         self.ledger = Ledger(directory, self.journal)
         self._tried: Counter[str] = Counter()
@@ -113,7 +127,7 @@ class Play:
 
     def _simulated(self, ledger: Ledger, rollout: Any) -> tuple[bytes, Trajectory | Scored, str]:
         request = ledger.request(rollout)
-        payload = run_on(load_system("test-function"), request, lambda _: None)
+        payload = run_on(self.system, request, lambda _: None)
         if isinstance(request, BatchRequest):
             self.requests.append(request)
             self._tried[request.rollout] += 1
@@ -151,9 +165,9 @@ def some(request: BatchRequest) -> list[int]:
 
 @contextmanager
 def played(directory: Path, chosen: CampaignConfig, **keys: Any) -> Iterator[Play]:
-    failing = keys.pop("failing", none)
+    failing, system = keys.pop("failing", none), keys.pop("system", None)
     directory.mkdir()
-    found = Play(directory, chosen, failing).play(**keys)
+    found = Play(directory, chosen, failing, system).play(**keys)
     try:
         yield found
     finally:
@@ -180,6 +194,10 @@ CAMPAIGNS = {
             | {"max_tests": 12, "replicates": 2},
         ],
     ),
+    "spot check, blocks and follow-ups": checked_afresh(spot_check=21, spot_check_followups=9),
+    "spot check, blocks of replicates": checked_afresh(spot_check=21, spot_check_followups=9, spot_replicates=3),
+    "spot check, batches within a start": checked_afresh(spot_check=5, spot_check_followups=9, spot_replicates=20),
+    "spot check of a gap": a_pair("rigorous", batch=8, spot_check=20, spot_check_followups=10, spot_replicates=2),
     "rigorous, batches within a test": a_pair("rigorous", batch=4, replicates=3),
     "scenario, batches within a test": a_list(batch=3),
 }
@@ -191,6 +209,7 @@ REDUCED = {
     ),
     "kriging, the worst within a test": planned(4, replicates=10, max_tests=3).model_copy(update={"keep": "worst 2"}),
     "scenario, the worst within a test": a_list(batch=3, keep="worst 4"),
+    "the worst, but a whole spot check": checked_afresh(spot_check=21, spot_check_followups=9, keep="worst 3"),
 }
 """Campaigns that keep not all samples."""
 
@@ -267,6 +286,8 @@ def test_an_observation_is_that_of_its_trajectories_one_by_one(name: str, tmp_pa
             assert fact.seed == play.ledger.deciders[fact.rollout.problem].seed(fact.rollout)
         for observed in (each for each in facts if isinstance(each, ObservationFact)):
             test = (observed.problem, observed.test)
+            if test[0] not in play.ledger.plans:
+                continue
             mine = {each[2:]: trajectories[each] for each in sorted(trajectories) if each[:2] == test}
             assert observed.observation == play.ledger.observer.observe(play.ledger.plans[test[0]], mine)
 
@@ -279,6 +300,22 @@ def test_a_batch_is_one_file_and_one_fact(tmp_path: Path) -> None:
         blocks = [fact for fact in facts if isinstance(fact, BlockProposalFact | BlockObservationFact)]
         assert len(blocks) == 8
         assert len(list((tmp_path / "run" / "trajectories").rglob("*.mcap"))) == 4
+
+
+def test_failures_by_chance_change_files_and_what_is_said_of_them_alone(tmp_path: Path) -> None:
+    """Which attempt a retry replaced is evidence: a certificate without that would hide it."""
+    found = []
+    for name, failing in (("a", none), ("b", some)):
+        with played(tmp_path / name, CAMPAIGNS["sample, blocks"], failing=failing) as play:
+            predicate = play.certify().predicate.model_dump(mode="json")
+        del predicate["evidence"]["manifest_sha256"]
+        said = {each["id"]: each for each in predicate.pop("assumptions")}
+        for claim in predicate["claims"]:
+            del claim["refuted"]  # by that assumption
+        found.append((predicate, said))
+    (one, calm), (other, failed) = found
+    assert one == other
+    assert {name for name in calm if calm[name] != failed[name]} == {"reproducible_rollouts"}
 
 
 def test_a_rollout_that_failed_is_made_again_alone(tmp_path: Path) -> None:
@@ -350,6 +387,26 @@ def test_a_damaged_batch_comes_back(
         play.play()
         assert {path: path.read_bytes() for path in kept} == kept
         assert play.certify() == certificate
+
+
+@pb.system(parameters={"z": pb.Parameter(0, 9)}, columns={"y": ""}, step=0.1, vectorised=True, batch_is_the_unit=True)
+def coupled(z: Any, *, seeds: Any, horizon: float) -> Any:
+    """The size of the batch shows in the samples."""
+    return len(seeds) + z[:, np.newaxis] + np.arange(round(horizon / 0.1) + 1)
+
+
+def test_where_the_batch_is_the_unit_a_repeated_rollout_is_repeated_within_it(tmp_path: Path) -> None:
+    """Also one of the recheck, which the review asks for once more, or somebody opens."""
+    chosen = sampled(16, specification="always (y >= 1)", recheck=7, space={"z": {"low": 0.0, "high": 9.0}})
+    with played(tmp_path / "run", chosen, system=coupled) as play:
+        assert list(play.ledger.series["recheck"].observations) == [1.0] * 7
+        for test in range(7):
+            rollout = RolloutId("recheck", test, "nominal", 0)
+            fact = play.journal.rollout(rollout)
+            recorded = read_mcap((play.directory / fact.path).read_bytes()).request
+            assert recorded["within"]
+            assert play.ledger.request_again(rollout).model_dump(mode="json") == recorded
+            assert load_recorded(play.directory, str(rollout)).request.model_dump(mode="json") == recorded
 
 
 EDITS = {

@@ -278,7 +278,7 @@ def test_verify_finds_a_check_that_was_removed(tmp_path: Path, recheck: int) -> 
 def test_the_last_test_that_the_spot_check_left_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
     named = [SimpleNamespace(plan=SimpleNamespace(variants=("true",)))]
     monkeypatch.setattr("perfbound.orchestrator.campaign.closing.risk_check._refuted_risks", lambda _: named)
-    spot: Any = SimpleNamespace(observer=None, starts=(), plan=SimpleNamespace(max_tests=5))
+    spot: Any = SimpleNamespace(observer=None, starts=(), plan=SimpleNamespace(most_tests=5))
     header: Any = SimpleNamespace(config=SimpleNamespace(spot_replicates=1))
     found = RiskCheck.of(header, spot, 4)
     assert found is not None

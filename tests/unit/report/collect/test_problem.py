@@ -1,7 +1,6 @@
 """The data of the charts: requirement and clip, importance, prediction at fresh starts, robustness of all rollouts."""
 
 import sqlite3
-from array import array
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -161,9 +160,7 @@ def test_few_tests_say_nothing_about_importance() -> None:
 def test_a_histogram_tells_its_variants_and_the_clip() -> None:
     values = RolloutValues()
     rows = [("p", "true", [0, 1], [-2.0, -2.0]), ("p", "true", [2], [0.0]), ("p", "nominal", [2], [3.0])]
-    values.add(
-        AddedValues(*row[:2], array("q", row[2]), array("d", row[3])) for row in [*rows, ("q", "true", [0], [9.0])]
-    )
+    values.add(AddedValues(*row[:2], np.array(row[2]), np.array(row[3])) for row in [*rows, ("q", "true", [0], [9.0])])
     found = values.histogram("p", (-2.0, 3.0), "m")
     assert found is not None
     nominal, true = found.variants
@@ -187,7 +184,7 @@ def test_a_hundred_thousand_rollouts_fit_in_the_page(tmp_path: Path, no_disk: No
     finish(play(tmp_path, CONFIGS["rigorous"]), tmp_path)
     values = RolloutValues()
     y = np.random.default_rng(4).normal(size=100_000)
-    values.add([AddedValues("p", "true", array("q", range(100_000)), array("d", y))])
+    values.add([AddedValues("p", "true", np.arange(100_000), y)])
     many = values.histogram("p", None, "m")
     found = importance.of_drawn_tests(np.random.default_rng(5).uniform(size=(100_000, 12)), y)
     report = Collector(tmp_path).refresh()

@@ -91,7 +91,7 @@ def test_a_test_with_fewer_contributions() -> None:
     for test, each in enumerate([(1.0,), (2.0, 3.0), ()]):
         proposed.add(ProposalFact("p", test, in_blocks()[test].proposal))
         found.add([ObservationFact("p", test, Observation(0.0, each), "")], BoundFact("p", test, BOUNDS[test]))
-    assert found.of_replicates(2) == [[1.0], [2.0, 3.0], []]
+    assert list(found.of_replicates(2)) == [[1.0], [2.0, 3.0], []]
     assert [found[test].observation.each for test in range(3)] == [(1.0,), (2.0, 3.0), ()]
 
 

@@ -323,6 +323,12 @@ def test_a_rollout_that_is_not_there(segway: Path, rollout: str, text: str) -> N
         load_recorded(segway, rollout)
 
 
+def test_the_last_test_is_that_of_the_last_batch(batches: Path) -> None:
+    """Of a batch, the database has the number of its first test."""
+    with pytest.raises(PerfboundError, match=facts("choose a test of robustness from 0 to 5")):
+        load_recorded(batches, "robustness.6.true.0")
+
+
 def test_a_directory_without_a_campaign(tmp_path: Path) -> None:
     with pytest.raises(JournalError, match="no campaign here"):
         load_recorded(tmp_path, NOMINAL)

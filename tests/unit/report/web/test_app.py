@@ -32,6 +32,7 @@ from perfbound.schemas.file.reader import parse_campaign
 from tests.campaigns import FOLDER, UNCHECKED
 from tests.facts import says
 from tests.fakes.inmemory import campaign
+from tests.patience import PATIENCE
 
 RECORDED = "trajectories/maximum/0/maximum.0.true.0.mcap"
 
@@ -55,6 +56,7 @@ def directory(finished: Path, tmp_path: Path) -> Path:
 def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(snapshots_module, "SHORTEST_PAUSE", 0.01)
     monkeypatch.setattr(snapshots_module, "LONGEST_PAUSE", 0.02)
+    monkeypatch.setattr(app, "FIRST_PICTURE", PATIENCE)
 
 
 @dataclass
@@ -267,6 +269,28 @@ def test_the_page_has_the_story_and_asks_for_events(finished: Path) -> None:
     assert '"name":"test-function"' in answer.text
     assert "connect-src 'self'" in answer.headers["content-security-policy"]
     assert "{{STORY}}" not in answer.text
+
+
+def test_a_page_does_not_wait_for_a_campaign_that_takes_long_to_read(
+    stub: Stub, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a million rollouts that is seconds; the events bring the data."""
+    monkeypatch.setattr(app, "FIRST_PICTURE", 0.0)
+
+    async def test(client: Client, _: SnapshotCache) -> None:
+        empty, other = await asyncio.gather(client.ask("/"), client.ask("/"))
+        assert empty.status == other.status == 200
+        assert '<body data-live="events">' in empty.text
+        assert '<script type="application/json" id="story"></script>' in empty.text
+        answer = Answer()
+        stream = client.open(answer.take)
+        await until(lambda: answer.stories)
+        assert stub.refreshes >= 1
+        await gone(stream)
+        monkeypatch.setattr(app, "FIRST_PICTURE", PATIENCE)
+        assert '"name":"test-function"' in (await client.ask("/")).text
+
+    watching(stub, test)
 
 
 def test_the_story(finished: Path) -> None:
@@ -510,8 +534,11 @@ def test_a_failed_refresh_is_reported_once_and_the_page_keeps_its_data(stub: Stu
         answer = Answer()
         stream = client.open(answer.take)
         await until(lambda: stub.refreshes >= 3)
-        refused = await client.ask("/story.json")
-        assert (refused.status, refused.text) == (503, "the disk is gone\n")
+        for path in ("/story.json", "/"):
+            refused = await client.ask(path)
+            assert (refused.status, refused.text) == (503, "the disk is gone\n")
+        # A page that did not wait for the data is told.
+        assert answer.text.count("event: fault\ndata: the disk is gone\n\n") == 1
         stub.trouble = None
         await until(lambda: answer.stories)
         stub.trouble = ZeroDivisionError("a fault of ours")

@@ -27,11 +27,12 @@ from tests.unit.schemas.trajectory.test_batch import COLUMNS, TIMES, a_batch
 def scores(failures: dict[int, str] | None = None) -> Scores:
     robustness = np.array([0.5, -0.25, 0.125, -1.0])
     robustness[list(failures or {})] = np.nan
-    return Scores(robustness, np.array([False, True, False, False]), np.array([np.nan, np.nan, 0.2, np.nan]))
+    marks, ends = np.array([False, True, False, False]), np.array([np.nan, np.nan, 0.2, np.nan])
+    return Scores(robustness, marks, ends, failures or {})
 
 
 def a_reduced(kept: list[int], failures: dict[int, str] | None = None) -> Reduced:
-    return reduced(a_batch(failures), kept, scores(failures), failures or {})
+    return reduced(a_batch(failures), kept, scores(failures))
 
 
 @pytest.mark.parametrize("kept", [[], [1], [1, 3], [0, 1, 3]])
@@ -44,8 +45,7 @@ def test_its_file_has_the_whole_content(kept: list[int], failures: dict[int, str
     assert (found.kept, found.failures, found.columns) == (tuple(kept), failures, COLUMNS)
     assert np.array_equal(found.values, whole.values[:, kept])
     assert list(found.digests) == list(whole.digests)
-    for one, other in zip(found.scores, scores(failures), strict=True):
-        assert np.array_equal(one, other, equal_nan=one.dtype == np.float64)
+    assert np.array_equal(found.scores.rows, scores(failures).rows, equal_nan=True)
 
 
 def test_a_rollout_that_is_kept_is_the_one_of_the_whole_batch() -> None:
@@ -104,14 +104,14 @@ def a_file(**content: bytes) -> bytes:
         KEPT: b"[1]",
         EVIDENCE: to_npy(whole.values),
         DIGESTS: whole.digest_column,
-        SCORES: to_npy(np.array([np.asarray(each, dtype=np.float64) for each in whole.scores])),
+        SCORES: to_npy(whole.scores.rows),
         **{name.replace("_", "."): each for name, each in content.items()},
     }
     return canonical_file(OF_REDUCED, {"columns": json.dumps(COLUMNS)}, found)
 
 
 DIGEST = a_reduced([1]).digest_column
-TABLE = np.array([np.asarray(each, dtype=np.float64) for each in scores()])
+TABLE = scores().rows
 
 
 def table(row: int, place: int, value: float) -> bytes:
