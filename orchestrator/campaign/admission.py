@@ -12,6 +12,7 @@ from ...schemas.batch import BatchRequest
 from ...schemas.errors import EvidenceError, PerfboundError, RequestError, TrajectoryError, UnusableTrajectoryError
 from ...schemas.ids import RolloutId
 from ...schemas.instants import uncovered
+from ...schemas.result.facts import RolloutFact
 from ...schemas.rollout import RolloutRequest
 from ...schemas.trajectory.batch import Batch, BatchFile, read_batch
 from ...schemas.trajectory.reduced import Reduced, Scores, read_stored
@@ -152,19 +153,48 @@ class Admission:
         Return as well with how much its time grid has been compared.
 
         Raises:
-            UnusableTrajectoryError: the objective can be computed from none.
+            UnusableTrajectoryError: the objective can be computed from none, or not together with the partner of one.
 
         """
         found = scored(self._ledger, request, batch)
         if self._ledger.restores(rollout):
             return found, "same"
-        # Its partner may come in another batch, and needs the same grid.
-        return found, "first of a pair" if self._ledger.batched(rollout.problem).has_pairs else "alone"
+        measured = self._ledger.batched(rollout.problem).measured
+        # The scores of each rollout are those of its robustness.
+        compared = "alone" if measured == {"robustness"} else self._check_each(request, found)
+        return found, compared if "gap" in measured else "alone"
+
+    def _check_each(self, request: BatchRequest, found: Scored) -> Compared:
+        """Refuse a batch with a rollout that allows no observation of its test, see `check`."""
+        assert isinstance(found.batch, Batch), "a worker reduces none"
+        first, series = request.rollouts[0], self._ledger.series[request.problem]
+        block = self._ledger.block_of(first)
+        batches = [fact for fact in series.batches.get(block, ()) if fact.rollout.variant != first.variant]
+        facts = [*series.rollouts.get(first.test, ()), *(each for batch in batches for each in batch.each())]
+        partners = {fact.rollout: fact for fact in facts}
+        for place, rollout in enumerate(request.rollouts):
+            if place in found.scores.failures:
+                continue
+
+            def others(key: tuple[str, int], test: int = rollout.test) -> list[Trajectory]:
+                partner = partners.get(RolloutId(request.problem, test, *key))
+                return [] if partner is None else [self._recorded(partner)]
+
+            trajectory = found.batch.trajectory(place)
+            # Not of that rollout alone: which one of a pair is at fault nobody knows, and its batch has one grid.
+            if (fault := objective_fault(self._ledger, rollout, trajectory, others)) is not None:
+                raise UnusableTrajectoryError(f"the objective of {rollout} cannot be computed: {fault}")
+        return "same" if any(each.variant != first.variant for each in partners) else "first of a pair"
 
     def _others(self, rollout: RolloutId, key: tuple[str, int]) -> list[Trajectory]:
         facts = self._ledger.series[rollout.problem].rollouts.get(rollout.test, ())
+        return [self._recorded(fact) for fact in facts if fact.rollout[2:] == key]
+
+    def _recorded(self, fact: RolloutFact) -> Trajectory:
+        recorded = self._ledger.recorded
         try:
-            return [self._ledger.recorded.kept(fact) for fact in facts if fact.rollout[2:] == key]
+            # A batch is in memory as a whole.
+            return recorded.read(fact) if fact.batch else recorded.kept(fact)
         except EvidenceError as fault:
             # No failure of this attempt: what is damaged was recorded before it.
             raise PerfboundError(str(fault)) from None

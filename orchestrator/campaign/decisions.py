@@ -1,6 +1,6 @@
 """The decisions of a campaign: the next test, the observation of a test and the bound after it, as facts."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence, Set
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -109,9 +109,9 @@ class ProblemDecisions:
         self._observer.check(self._plan, rollout[2:], trajectory, others)
 
     @property
-    def has_pairs(self) -> bool:
-        """Whether rollouts of a test are compared with one another."""
-        return self._plan.objective.measured == "gap"
+    def measured(self) -> Set[str]:
+        """What is measured of trajectories, as in `Objective`."""
+        return {self._plan.objective.measured}
 
     @property
     def needs_scores_alone(self) -> bool:

@@ -236,7 +236,7 @@ class Ledger:
         path = evidence.relative_path(file_of(request))
         if isinstance(found, Scored):
             assert isinstance(request, BatchRequest)
-            block = state.plan_of(self.state, rollout.problem).batch_of(rollout)[0].test
+            block = self.block_of(rollout)
             if (left := _reduced(self.series[rollout.problem].kept, rollout, block, found)) is not None:
                 payload = encode_reduced(left, request=request.model_dump(mode="json"), metadata=request.metadata)
                 sha256, found = hashlib.sha256(payload).hexdigest(), replace(found, batch=left)
@@ -253,6 +253,10 @@ class Ledger:
             assert isinstance(fact, BatchFact)
             self.recorded.keep_batch(fact, found.batch)
         return self._advance(self._write(fact))
+
+    def block_of(self, rollout: RolloutId) -> int:
+        """Return the first test of the block of a rollout, which is open."""
+        return state.plan_of(self.state, rollout.problem).batch_of(rollout)[0].test
 
     def batched(self, name: str) -> ProblemDecisions | SpotCheck:
         """Return the decider of a series that has batches."""

@@ -131,7 +131,7 @@ class Recorded:
             return decode(evidence.read_evidence(self._directory, fact.path, fact.sha256))
         if fact.batch in self._batches:
             kept, batch = self._batches[fact.batch]
-            return batch.trajectory(kept.rollouts.index(fact.rollout))
+            return batch.trajectory(kept.place(fact.rollout))
         return self._batch_file(fact).alone(fact.rollout).trajectory
 
     def within(self, rollout: RolloutId) -> WithinBatch | None:
@@ -141,7 +141,7 @@ class Recorded:
             return None
         # Not from its file: that of the last batch is in its place at the end of the transaction.
         starts = [self.start(rollout._replace(test=test)) for test in fact.tests]
-        return WithinBatch(x=tuple(starts), seeds=tuple(fact.seeds.tolist()), place=fact.rollouts.index(rollout))
+        return WithinBatch(x=tuple(starts), seeds=tuple(fact.seeds.tolist()), place=fact.place(rollout))
 
     def _batch_file(self, fact: RolloutFact) -> BatchFile[Batch] | BatchFile[Reduced]:
         if self._file is None or self._file[0] != fact.batch:

@@ -1,5 +1,6 @@
 """The commands of the report: its files, and the live page."""
 
+import gc
 import os
 import sys
 from pathlib import Path
@@ -100,6 +101,8 @@ def draw(directory: Path) -> None:
     """Write the page of a finished campaign; a failure is reported and does not fail the campaign."""
     from ..report.write import finish_page  # noqa: PLC0415
 
+    # The state of the campaign refers to itself: of a million rollouts it would stay beside all that the report reads.
+    gc.collect()
     if line := finish_page(directory):
         _print_stderr(line)
 

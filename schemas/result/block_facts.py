@@ -110,6 +110,10 @@ class BatchFact:
         """Every rollout, in their order."""
         return batch_rollouts(self.rollout, len(self) // self.replicates, self.replicates)
 
+    def place(self, rollout: RolloutId) -> int:
+        """Return the place of one of its rollouts."""
+        return (rollout.test - self.rollout.test) * self.replicates + rollout.replicate - self.rollout.replicate
+
     @property
     def failed(self) -> tuple[RolloutId, ...]:
         """The rollouts that have no trajectory."""

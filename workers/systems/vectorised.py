@@ -99,7 +99,7 @@ def as_batch(returned: object, columns: tuple[str, ...], step: float | None, rol
         time = np.arange(count, dtype=np.float64) * float(step or 0.0)
     if time.shape not in {(count,), (rollouts, count)}:
         raise SimulationError(f"t has the shape {time.shape}, the columns have {count} samples of {rollouts} rollouts")
-    # Column by column in memory, as they are returned and stored: a copy would else take as long as the simulation.
+    # Column by column in memory, as it is returned and stored: a copy in another order takes as long as simulating.
     array = np.empty((len(columns), rollouts, count)).transpose(1, 2, 0)
     array[:, :, 0] = time
     for k, name in enumerate(columns[1:], start=1):

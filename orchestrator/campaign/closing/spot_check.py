@@ -169,9 +169,9 @@ class SpotCheck:
     """Whether an observation follows from the recorded scores of its rollouts: a column or a gap does not."""
 
     @property
-    def has_pairs(self) -> bool:
-        """Whether rollouts of a test are compared with one another."""
-        return any(plan.objective.measured == "gap" for plan in self._plans)
+    def measured(self) -> Set[str]:
+        """What is measured of trajectories, as in `Objective`."""
+        return {plan.objective.measured for plan in self._plans}
 
     def check(self, series: Series, rollout: RolloutId, trajectory: Trajectory, others: Others) -> None:
         """Raise a ValueError if a rollout of an open test allows no observation, alone or with others of the test."""

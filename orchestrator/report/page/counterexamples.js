@@ -32,9 +32,11 @@ function violatingGroups(report, violating) {
   const rule = report.axes.length && violating.starts > 1 ? ` Starts are in one group if they, or starts between them, differ by at most ${num(100 * near)} % of its range in every parameter.` : "";
   const element = (group, k) => groupElement(report, group, k, { rollouts, unit });
   const rest = groups.slice(FIRST_STARTS);
+  const [all, others] = [plural(violating.starts, "start"), violating.other_starts];
+  const starts = others ? `The worst ${count(violating.starts - others)} of ${all},` : all;
   const listed = report.counterexamples.length < report.violations ? ` The list of rollouts has the worst ${count(report.counterexamples.length)}; the numbers count all of them.` : "";
   return [
-    el("p.muted", `${plural(violating.starts, "start")} in ${plural(groups.length, "group")}, the worst first.${rule}${listed}`),
+    el("p.muted", `${starts} in ${plural(groups.length, "group")}, the worst first.${rule}${listed}`),
     groups.slice(0, FIRST_STARTS).map(element),
     rest.length ? el("details.more", { "data-paper": "folded" }, el("summary", `${plural(rest.length, "further group")}`), rest.map((group, k) => element(group, FIRST_STARTS + k))) : null,
     violating.other_starts ? el("p", `and ${plural(violating.other_starts, "further start")}, less bad: ${count(violating.other_violations)} of ${plural(violating.other_rollouts, "rollout")}.`) : null,

@@ -19,6 +19,7 @@ from perfbound.schemas.trajectory.trajectory import decode
 from tests.end_to_end import processes
 from tests.end_to_end.processes import BIN, Ended, Processes
 from tests.patience import PATIENCE
+from tests.unit.schemas.trajectory import test_topics
 
 ROOT = Path(__file__).parents[3]
 PACKAGES = ROOT / "build" / "node"
@@ -47,6 +48,14 @@ def evidence(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def plotted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The file of a rollout of a function, whose columns are plots."""
     return simulated(tmp_path_factory.mktemp("plotted"), f"{CARS}:cars", "20,30")
+
+
+@pytest.fixture(scope="module")
+def side_by_side(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file of several rollouts, a topic each, as `perfbound export --rollout` writes it."""
+    path = tmp_path_factory.mktemp("side-by-side") / "rollouts.mcap"
+    path.write_bytes(test_topics.encoded())
+    return path
 
 
 def simulated(folder: Path, system: str, x: str) -> Path:
@@ -95,6 +104,12 @@ def test_rerun_plots_the_columns_of_a_function(rerun: Any, plotted: Path, tmp_pa
     assert sorted(series) == [("61", topic) for topic in sorted(PLOTS)]
 
 
+def test_rerun_finds_no_fault_in_several_rollouts(rerun: Any, side_by_side: Path) -> None:
+    checked = rerun("mcap", "check", "--full", side_by_side)
+    assert checked.code == 0, checked.err
+    assert {line.split()[3] for line in checked.out.splitlines() if line.startswith("ok")} == set(test_topics.TOPICS)
+
+
 def test_rerun_draws_a_file(rerun: Any, visual: Path, evidence: Path, tmp_path: Path) -> None:
     """It finds poses, solids, lines of a log and numbers, each in the frame and at the time at which they belong."""
     expected = {visual: TOPICS, evidence: set()}
@@ -122,15 +137,15 @@ def test_rerun_draws_a_file(rerun: Any, visual: Path, evidence: Path, tmp_path: 
 
 
 @pytest.fixture(scope="module")
-def javascript(visual: Path, evidence: Path, plotted: Path) -> dict[str, Any]:
-    """Output of the JavaScript reader for both files, and the schemas that Foxglove publishes."""
+def javascript(visual: Path, evidence: Path, plotted: Path, side_by_side: Path) -> dict[str, Any]:
+    """Output of the JavaScript reader for these files, and the schemas that Foxglove publishes."""
     node = shutil.which("node")
     if node is None:
         pytest.skip("install node")
     if not all((PACKAGES / "node_modules" / name).is_dir() for name in NEEDED):
         pytest.skip("install the JavaScript readers: make build/node/.installed, with npm")
     script = Path(__file__).with_name("read_mcap.mjs")
-    line: list[str | Path] = [node, script, PACKAGES, visual, evidence, plotted]
+    line: list[str | Path] = [node, script, PACKAGES, visual, evidence, plotted, side_by_side]
     ended = subprocess.run(line, capture_output=True, text=True, check=False, timeout=PATIENCE)
     assert ended.returncode == 0, ended.stderr
     found: dict[str, Any] = json.loads(ended.stdout)
@@ -146,6 +161,16 @@ def test_javascript_plots_the_columns_of_a_function(javascript: Any, plotted: Pa
         numbers = trajectory.column(topic[1:]).tolist()
         assert channel["messages"] == [[t, t, [number]] for t, number in zip(times, numbers, strict=True)]
     assert found["streamed"] == {"messages": 2 * len(times), "done": True}
+
+
+def test_javascript_reads_each_of_several_rollouts(javascript: Any) -> None:
+    found = javascript["files"][3]
+    assert list(found["channels"]) == test_topics.TOPICS
+    for channel, trajectory in zip(found["channels"].values(), test_topics.ROLLOUTS.values(), strict=True):
+        rows = [[body[name] for name in test_topics.COLUMNS] for _, _, body in channel["messages"]]
+        assert rows == trajectory.samples.tolist()
+        assert (channel["messageEncoding"], channel["schema"]) == ("protobuf", "perfbound.State")
+    assert found["streamed"] == {"messages": 6, "done": True}
 
 
 @pytest.mark.parametrize("number", [0, 1], ids=["visual", "evidence"])

@@ -275,6 +275,7 @@ def test_counterexamples_are_grouped_by_start_and_counted(browser: Browser, tmp_
         assert "perfbound replay runs/small sim_gap.0.true.0" in starts.first.inner_text()
         text = section.inner_text()
         assert "187 rollouts of 459 violated" in text
+        assert "The worst 9 of 11 starts, in 3 groups, the worst first." in text
         assert "and 2 further starts, less bad: 7 of 19 rollouts." in text
         assert "differ by at most 10 % of its range in every parameter" in text
         starts.first.locator("button[data-select]").first.click()

@@ -121,7 +121,7 @@ def test_a_failure_that_does_not_repeat_refutes_and_changes_no_number(
     calm = predicate(simulate(tmp_path / "calm", config, honest, noisy=True))
     text = simulate(tmp_path / "run", config, failing_once(honest, how), noisy=True)
     assert refuted(text) == ["reproducible_rollouts"]
-    assert says(sentence(text, "reproducible_rollouts"), "rollout another")
+    assert says(sentence(text, "reproducible_rollouts"), "failed another trajectory")
     assert without(predicate(text), "reproducible_rollouts") == without(calm, "reproducible_rollouts")
     assert verified(tmp_path / "run") == []
 
