@@ -61,7 +61,7 @@ def resumable(directory: Path, again: str | None = None, *, options: Sequence[st
     except Exception as error:
         if (fault := host_fault(error)) is not None:
             end(f"{fault}; {remedy('then ')}", code=1)
-        cause = getattr(error, "orig", None)  # SQLAlchemy's wrapping
+        cause = getattr(error, "orig", None) or error  # SQLAlchemy's wrapping
         if not isinstance(cause, sqlite3.Error):
             raise
         end(f"{directory / 'campaign.db'}: {cause}; {remedy('fix this, then ')}", code=1)

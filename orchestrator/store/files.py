@@ -104,16 +104,23 @@ class Batch:
             self._last = None
 
     def _settle(self) -> None:
-        if self._last is not None:
-            _write_synced(*self._last)
-        for each in self._writing:
-            each.result()
-        # All files are on the disk before the first rename, and all names before the commit of their facts: kill -9 or
-        # a power cut between two lines leaves files without facts, which a resume sweeps, never facts without files.
-        folders = {path.parent for path in self._written}
-        for path, partial in list(self._written.items()):
-            partial.replace(path)
-            del self._written[path]
+        # All files and names are on the disk before the commit of their facts: kill -9 or a power cut between two lines
+        # leaves files without facts, whole or not, which a resume sweeps, never facts without files.
+        if self._last is None:
+            return
+        partial, data = self._last
+        with fresh(partial) as file:
+            file.write(data)
+            file.flush()
+            for each in self._writing:
+                each.result()
+            folders = {path.parent for path in self._written}
+            for path, place in list(self._written.items()):
+                place.replace(path)
+                del self._written[path]
+            # After the renames: a file system with a journal then has the names on the disk as well, and the folders,
+            # which others need, cost no second wait.
+            os.fsync(file.fileno())
         for folder in folders:
             sync(folder)
 

@@ -143,11 +143,13 @@ def _metadata_index(layout: Layout, length: int) -> bytes:
     return packed(Opcode.METADATA_INDEX, struct.pack("<QQ", len(_HEAD), length) + packed_text(layout.record))
 
 
+@lru_cache(maxsize=64)  # the sizes of the files of a campaign differ little
 def _attachment_index(name: str, media_type: str, start: int, length: int, size: int) -> bytes:
     place = struct.pack("<QQQQQ", start, length, 0, 0, size)
     return packed(Opcode.ATTACHMENT_INDEX, place + packed_text(name) + packed_text(media_type))
 
 
+@lru_cache(maxsize=64)
 def _attachment_head(name: str, media_type: str, size: int) -> bytes:
     """Return the bytes of an attachment's record before its content of `size` bytes."""
     head = bytes(16) + packed_text(name) + packed_text(media_type) + _SIZE.pack(size)  # no times
@@ -222,7 +224,7 @@ def _framed(data: bytes, start: int, end: int) -> Iterator[tuple[int, bytes]]:
         start = after
 
 
-@lru_cache(maxsize=64)  # the sizes of the files of a campaign differ little
+@lru_cache(maxsize=64)
 def _plain_end(summary: int, indexes: tuple[bytes, ...]) -> bytes:
     """Return everything after the data of a file without a visual part."""
     *attachments, metadata = indexes

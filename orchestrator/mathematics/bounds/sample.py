@@ -117,7 +117,8 @@ class FailureEstimate(Estimate):
 
     def anytime(self) -> float | None:
         """Return Lambda times the bound of the beta mixture."""
-        return shifted_failure_upper(self._possible.upper(), self._ratio)
+        upper = self._possible.upper()  # a multiple of 1e-9 already
+        return upper if self._ratio == 1.0 else shifted_failure_upper(upper, self._ratio)
 
     def exact(self) -> float | None:
         """Return Lambda times the bound of Clopper and Pearson."""
