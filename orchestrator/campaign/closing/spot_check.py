@@ -175,7 +175,8 @@ class SpotCheck:
 
     def check(self, series: Series, rollout: RolloutId, trajectory: Trajectory, others: Others) -> None:
         """Raise a ValueError if a rollout of an open test allows no observation, alone or with others of the test."""
-        start = series.proposals[rollout.test].proposal.node
+        # Of a block test j is at start j.
+        start = series.proposals[rollout.test].proposal.node if rollout.test in series.proposals else rollout.test
         noisy = set(self._header.spec.noisy)
 
         def used(key: tuple[str, int]) -> Iterable[Trajectory]:

@@ -10,12 +10,15 @@ import numpy as np
 import pytest
 
 import perfbound as pb
-from perfbound.orchestrator.campaign.admission import Admission, admit_batch
+from perfbound.orchestrator.campaign.admission import Admission, admit_either
+from perfbound.orchestrator.campaign.ledger import Scored
 from perfbound.schemas.batch import BatchRequest
 from perfbound.schemas.errors import UnusableTrajectoryError
 from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.result.block_facts import BatchFact
+from perfbound.schemas.trajectory.batch import Batch
+from perfbound.schemas.trajectory.trajectory import Trajectory
 from perfbound.workers.batch import run_on
 from perfbound.workers.systems.base import SystemUnderTest
 from tests.fakes.finished import KERNEL
@@ -51,10 +54,9 @@ def gaps(*, within_a_test: bool, **changes: Any) -> CampaignConfig:
         composition="sum",
         gap={"kind": "signal_sup", "column": "y"},
         specification="always (y >= 0)",
-        spot_check=0,
         space=BOX,
         problems=[kriging | sizes, nominal],
-        **changes,
+        **{"spot_check": 0, **changes},
     )
 
 
@@ -71,16 +73,22 @@ def begun(directory: Path, chosen: CampaignConfig, system: SystemUnderTest) -> I
         play.journal.close()
 
 
-def admitted(play: Play, rollout: RolloutId) -> str:
-    """Simulate, admit and record a batch; return how much its grid has been compared."""
+def admitted(play: Play, rollout: RolloutId, wanted: list[RolloutId] | None = None) -> str:
+    """Simulate, admit and record a batch; return how much its grid has been compared. What follows is `wanted`."""
     request, admission = play.ledger.request(rollout), Admission(play.ledger)
-    assert isinstance(request, BatchRequest)
     payload = run_on(play.system, request, lambda _: None)
     sha256 = hashlib.sha256(payload).hexdigest()
-    batch = admit_batch(request, admission.columns, payload, sha256)
-    found, compared = admission.score(rollout, request, batch)
+    decoded = admit_either(request, admission.columns, payload, sha256)
+    found: Trajectory | Scored
+    if isinstance(decoded, Batch):
+        assert isinstance(request, BatchRequest)
+        found, compared = admission.score(rollout, request, decoded)
+    else:
+        found, compared = decoded, admission.check(rollout, decoded)
     with play.ledger.transaction():
-        play.ledger.record(rollout, payload, found, sha256)
+        work = play.ledger.record(rollout, payload, found, sha256)
+    if wanted is not None:
+        wanted += work.wanted
     return compared
 
 
@@ -111,6 +119,22 @@ def test_replicates_of_two_variants_are_in_one_batch_each(tmp_path: Path, *, wit
         rollouts = [rollout for fact in facts for rollout in fact.rollouts if rollout.problem == "sim_gap"]
         assert len(wanted) <= len(facts) < len(rollouts) / 2
         assert sorted(rollouts) == sorted(set(rollouts))
+        play.certify()
+    assert [line.detail for line in checked(tmp_path / "run").lines() if line.status == "failed"] == []
+
+
+def test_fresh_starts_of_a_gap_are_admitted_in_batches(tmp_path: Path) -> None:
+    """The batches are compared in pairs, and follow-ups one by one."""
+    chosen = gaps(within_a_test=False, system={"name": "pair"}, spot_check=10, spot_check_followups=6)
+    with begun(tmp_path / "run", chosen, pair) as (play, wanted):
+        compared = {}
+        while wanted:
+            rollout = wanted.pop(0)
+            compared[rollout] = admitted(play, rollout, wanted)
+        assert play.ledger.done
+        checks = {str(each): found for each, found in compared.items() if each.problem == "spot_check"}
+        assert checks["spot_check.0.nominal.0"] == "first of a pair"
+        assert checks["spot_check.0.true.0"] == checks["spot_check.8.true.0"] == "same"
         play.certify()
     assert [line.detail for line in checked(tmp_path / "run").lines() if line.status == "failed"] == []
 
