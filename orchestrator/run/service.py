@@ -46,7 +46,8 @@ TURN = 64
 """Messages in one transaction at most; about 100 ms of work."""
 GATHERING = 0.005
 """Seconds at most, and a quarter of the last turn, that a busy loop waits for more results, which share a transaction
-and its waits for the disk. Two workers with short rollouts would otherwise take turns, with one result in each."""
+and its waits for the disk. Two workers with short rollouts would otherwise take turns, with one result in each; a
+second assignment for each worker would be lost with it."""
 UNNOTICED = 1.0
 """Seconds in which a worker without its token is shown as before: that a link is down is found after its tokens."""
 ADOPTION = 2.5

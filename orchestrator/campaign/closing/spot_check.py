@@ -84,7 +84,8 @@ class SpotCheck:
     """The decider of the spot check; a test has rollouts of every variant that some problem needs, at one start.
 
     A follow-up has rollouts of noisy variants alone: the others are those of the first test there, test j at start j.
-    With `batch` the first tests are in blocks, and follow-ups come after all of them, one by one.
+    With `batch` the first tests are in blocks, and follow-ups come after all of them, one by one: a window over both
+    could have all drawn starts in it, and follow-ups would be chosen without an observation.
     `each` of an observation has J of every tested bound, in the order of the campaign file, for each replicate.
     """
 
