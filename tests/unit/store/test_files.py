@@ -2,6 +2,7 @@
 
 import errno
 import hashlib
+import itertools
 import os
 from pathlib import Path
 from typing import Any
@@ -81,6 +82,36 @@ def test_a_batch_is_in_place_at_its_end_or_not_at_all(tmp_path: Path) -> None:
         assert not any(path.exists() for path in paths)
     assert [path.read_bytes() for path in paths] == [DATA] * 20
     assert len(names(tmp_path)) == 20
+
+
+@pytest.mark.parametrize("number", [1, 3])
+@pytest.mark.parametrize("failing", range(1, 5))
+def test_a_sync_that_fails_ends_the_batch_and_the_next_one_writes_the_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, failing: int
+) -> None:
+    """Whichever sync it is; one of the last file or of the folder comes after the renames."""
+    calls, real = itertools.count(1), os.fsync
+
+    def fsync(descriptor: int) -> None:
+        if next(calls) == failing:
+            disk_full()
+        real(descriptor)
+
+    batch, paths = files.Batch(), [tmp_path / f"{n}.mcap" for n in range(number)]
+
+    def written() -> None:
+        with batch:
+            for path in paths:
+                batch.write(path, DATA)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    if failing <= number + 1:
+        with pytest.raises(OSError, match="No space left"):
+            written()
+    assert not [name for name in names(tmp_path) if name.endswith(atomic.TEMPORARY)]
+    written()
+    assert [path.read_bytes() for path in paths] == [DATA] * number
+    assert len(names(tmp_path)) == number
 
 
 @pytest.mark.parametrize(("owner", "name"), [(os, "fsync"), (Path, "replace")])
