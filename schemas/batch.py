@@ -13,7 +13,7 @@ from .base import Model
 from .file.signals import SignalShape
 from .ids import FileId, RolloutId, WorkId
 from .ranges import LARGEST_BATCH, MAX_FILE_BYTES, ReplicateNumber, Seconds, Seed, TestNumber
-from .rollout import MAX_PARAMETERS, Name, RequestTemplate, RolloutRequest, Sha256, Start, WithinBatch
+from .rollout import MAX_PARAMETERS, Name, RequestTemplate, RolloutRequest, Sha256, Start
 from .system import OptionValue, SystemSpec, Variant
 
 MOST_NUMBERS = 30_000
@@ -83,10 +83,6 @@ class BatchRequest(Model):
             x=self.x[test],
             signals=self.signals,
         )
-
-    def within(self, place: int) -> WithinBatch:
-        """Return the batch for a request that repeats it for the rollout in this place."""
-        return WithinBatch(x=self.x, seeds=self.seeds, place=place)
 
     @property
     def metadata(self) -> dict[str, str]:

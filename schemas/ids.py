@@ -84,6 +84,16 @@ class RolloutId(NamedTuple):
         return found
 
 
+def rollout_at(first: RolloutId, place: int, replicates: int) -> RolloutId:
+    """Return the rollout in a place of the batch that begins with `first`, with so many replicates of each test.
+
+    >>> str(rollout_at(RolloutId("gap", 8, "true", 0), 5, replicates=2))
+    'gap.10.true.1'
+    """
+    test, number = divmod(place, replicates)
+    return RolloutId(first.problem, first.test + test, first.variant, first.replicate + number)
+
+
 class FileId(NamedTuple):
     """A file of trajectories: that of a rollout, or of a batch, which has so many `places` from a rollout on."""
 

@@ -160,10 +160,10 @@ class Admission:
         found = scored(self._ledger, request, batch)
         if self._ledger.restores(rollout):
             return found, "same"
-        measured = self._ledger.batched(rollout.problem).measured
+        kinds = self._ledger.batched(rollout.problem).measured
         # The scores of each rollout are those of its robustness.
-        compared = "alone" if measured == {"robustness"} else self._check_each(request, found)
-        return found, compared if "gap" in measured else "alone"
+        compared = "alone" if kinds == {"robustness"} else self._check_each(request, found)
+        return found, compared if "gap" in kinds else "alone"
 
     def _check_each(self, request: BatchRequest, found: Scored) -> Compared:
         """Refuse a batch with a rollout that allows no observation of its test, see `check`."""

@@ -69,9 +69,9 @@ def of_tests(
     found: dict[str, str] = {}
     if len(robustness) >= FEWEST:
         found |= _clip(plan, robustness)
-    if isinstance(plan.problem, KernelProblem) and len(y):
+    if isinstance(plan.problem, KernelProblem) and y:
         found |= _norm(plan, plan.problem, y)
-    if isinstance(plan.problem, PaperProblem | RigorousProblem) and len(y):
+    if isinstance(plan.problem, PaperProblem | RigorousProblem) and y:
         found |= _noise(plan, plan.problem, each)
     return found
 

@@ -160,7 +160,7 @@ class SearchSource:
 def _nodes(series: Series) -> list[int]:
     # Tests in flight: a method counts them as observed, so that a window > 1 does not repeat one start.
     blocks = [node for block in series.blocks.values() for node in block.nodes.tolist()]
-    return [*series.open_nodes.values(), *blocks]
+    return [fact.proposal.node for fact in series.proposals.values()] + blocks
 
 
 def _open_starts(series: Series) -> list[Start]:

@@ -119,8 +119,6 @@ class Series:
     files: str = ""
     """The head of a second chain, over the rollouts alone: unlike `link` it is the same on every CPU."""
     proposals: dict[int, ProposalFact] = field(default_factory=dict)
-    open_nodes: dict[int, int] = field(default_factory=dict)
-    """Those of `proposals`: every proposal asks for all of them, and hundreds may be open."""
     rollouts: dict[int, list[RolloutFact]] = field(default_factory=dict)
     blocks: dict[int, BlockProposalFact] = field(default_factory=dict)
     """Open ones, by their first tests; a series has tests or blocks."""
@@ -176,7 +174,6 @@ class Series:
             self.blocks[fact.test] = fact
         else:
             self.proposals[fact.test] = fact
-            self.open_nodes[fact.test] = fact.proposal.node
 
     def record(self, fact: BatchFact) -> None:
         """Take a recorded batch of an open test, or block."""
@@ -213,7 +210,6 @@ class Series:
         if self.next_link(fact.test, found) != fact.chain:
             raise IllegalEvent(f"test {fact.test} of {fact.problem} was changed after it was written (hash chain)")
         self.last_proposal = self.proposals.pop(fact.test).proposal
-        del self.open_nodes[fact.test]
         rollouts = self.last_facts = self.rollouts.pop(fact.test, [])
         self.link = fact.chain
         self.failed += self._failed.pop(fact.test, 0)

@@ -29,7 +29,7 @@ from ...schemas.file.drawn_claims import PROBABILITIES
 from ...schemas.file.objectives import replicates_are_robustness
 from ...schemas.file.parts import parts_of
 from ...schemas.file.problem_models import Problem
-from ...schemas.ids import RECHECK, RISK_CHECK, SHRINK, SPOT_CHECK, FileId, closing_check
+from ...schemas.ids import RECHECK, RISK_CHECK, SHRINK, SPOT_CHECK, FileId, closing_check, rollout_at
 from ...schemas.result.facts import NO_FAILURE, RECORDED, Header
 from ...schemas.system import SystemSpec
 from . import tables
@@ -242,9 +242,7 @@ def _failure_row(row: Any) -> Iterator[Row]:
         return
     first = FileId.parse(row.rollout).rollout
     for place, reason in json.loads(row.failures):
-        test, number = divmod(place, row.replicates)
-        rollout = first._replace(test=first.test + test, replicate=first.replicate + number)
-        yield str(rollout), row.attempt, row.worker, "system", reason, row.ended
+        yield str(rollout_at(first, place, row.replicates)), row.attempt, row.worker, "system", reason, row.ended
 
 
 # opinions, set_aside

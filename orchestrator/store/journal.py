@@ -20,7 +20,7 @@ from ...schemas.host import host_name
 from ...schemas.ids import RolloutId
 from ...schemas.platforms import platform_class
 from ...schemas.ranges import LARGEST_BATCH
-from ...schemas.result.block_facts import BatchFact, StoredFact, each_rollout
+from ...schemas.result.block_facts import BatchFact, StoredFact
 from ...schemas.result.facts import Header, ProposalFact, RolloutFact
 from . import tables
 from .attempts import AttemptLog
@@ -160,23 +160,25 @@ class Journal:
 
     def rollout(self, rollout: RolloutId) -> RolloutFact:
         """Return a recorded rollout; inside or outside a transaction."""
-        return next(each for each in each_rollout(self._stored(rollout)) if each.rollout == rollout)
+        return self._stored(rollout)[1]
 
     def batch_of(self, rollout: RolloutId) -> BatchFact | None:
         """Return the batch of a recorded rollout; None for one without; inside or outside a transaction."""
-        found = self._stored(rollout)
+        found, _ = self._stored(rollout)
         return found if isinstance(found, BatchFact) else None
 
-    def _stored(self, rollout: RolloutId) -> RolloutFact | BatchFact:
+    def _stored(self, rollout: RolloutId) -> tuple[RolloutFact | BatchFact, RolloutFact]:
+        """Return the fact that has a recorded rollout, and that of the rollout alone."""
         columns, (problem, test, variant, replicate) = tables.rollouts.c, rollout
         first, places = columns.test, columns.places
-        tests = (first <= test, first > test - places, first > test - LARGEST_BATCH)
+        tests = (first <= test, first + places / columns.replicates > test, first > test - LARGEST_BATCH)
         numbers = (columns.replicate <= replicate, columns.replicate > replicate - columns.replicates)
         same = (columns.problem == problem, columns.variant == variant)
         query = sa.select(tables.rollouts).where(*same, *tests, *numbers)
         found = (rollout_fact(row) for row in self._rows.read(query.order_by(places)))
+        pairs = ((each, each if isinstance(each, RolloutFact) else each.alone(rollout)) for each in found)
         # The batch in which it failed may have it as well.
-        return next(each for each in found if any(fact.rollout == rollout for fact in each_rollout(each)))
+        return next((each, alone) for each, alone in pairs if alone is not None)
 
     def file(self, path: str) -> RolloutFact | BatchFact | None:
         """Return what is recorded in a file; None for nothing; inside or outside a transaction."""

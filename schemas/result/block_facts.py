@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..base import canonical_json
 from ..batch import batch_rollouts
-from ..ids import RolloutId
+from ..ids import RolloutId, rollout_at
 from ..ranges import DIGEST
 from ..values import Observation, Proposal
 from .facts import DiscardFact, Fact, ObservationFact, ProposalFact, RolloutFact
@@ -164,17 +164,15 @@ class BatchFact:
 
         With `places` of the rollouts in these places alone.
         """
-        problem, test, variant, replicate = self.rollout
         robustness = None if self.robustness is None else self.robustness.tolist()
         tolerance, ended = self.by_tolerance.tolist(), self.ended.tolist()
         seeds, succeeded, digests = self.seeds.tolist(), self.succeeded.tolist(), self.digest_column.hex()
         kept = self.kept_column or b"\1" * len(self)
         for place in range(len(self)) if places is None else places:
             if succeeded[place]:
-                after, number = divmod(place, self.replicates)
                 sha256 = digests[2 * DIGEST * place : 2 * DIGEST * (place + 1)]
                 yield RolloutFact(
-                    RolloutId(problem, test + after, variant, replicate + number),
+                    rollout_at(self.rollout, place, self.replicates),
                     seeds[place],
                     sha256,
                     self.size,
@@ -185,6 +183,10 @@ class BatchFact:
                     batch=self.sha256,
                     kept=bool(kept[place]),
                 )
+
+    def alone(self, rollout: RolloutId) -> RolloutFact | None:
+        """Return the fact of one of its rollouts; None where that has failed."""
+        return next(self.each([self.place(rollout)]), None)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ import numpy as np
 
 import perfbound as pb
 from perfbound.schemas.batch import BatchRequest
+from perfbound.schemas.rollout import WithinBatch
 from perfbound.schemas.system import SystemSpec
 
 SHA = "0" * 64
@@ -32,6 +33,11 @@ def batch_request(spec: SystemSpec, starts: Starts, *, replicates: int = 1, **ke
         x=tuple(starts),
         **given | keys,
     )
+
+
+def within(batch: BatchRequest, place: int) -> WithinBatch:
+    """Return the batch for a request that repeats it for the rollout in this place."""
+    return WithinBatch(x=batch.x, seeds=batch.seeds, place=place)
 
 
 @pb.system(parameters={"a": pb.Parameter(0, 10, unit="m")}, columns={"y": "m", "z": "m"}, step=0.25)

@@ -66,7 +66,7 @@ class RiskCheck:
 
     def proposal(self, series: Series, test: int) -> ProposalFact:
         """Choose the undecided start with the fewest rollouts, those in flight included."""
-        flying = list(series.open_nodes.values())
+        flying = [fact.proposal.node for fact in series.proposals.values()]
         tests = [series.nodes.count(each.start) + flying.count(each.start) for each in self.named]
         # The window is kept full: where all are decided the check ends with the next observation.
         open_first = sorted(range(len(self.named)), key=lambda k: (self.named[k].is_below, tests[k], k))

@@ -137,7 +137,7 @@ class SpotCheck:
 
     def proposal(self, series: Series, test: int) -> ProposalFact:
         """Choose the next start: each one once, then the most suspicious ones."""
-        pending = list(series.open_nodes.values())
+        pending = [fact.proposal.node for fact in series.proposals.values()]
         # The window is kept full: where every suspicious start has a test in flight, the first one gets one more.
         chosen = self._tests.propose(pending) or self._tests.propose()
         assert chosen is not None, "a spot check that is complete has ended"

@@ -74,7 +74,9 @@ class MemoryFactStore:
         """Return a recorded rollout."""
         if rollout in self._rollouts:
             return self._rollouts[rollout]
-        return next(each for each in self._batched[rollout].each() if each.rollout == rollout)
+        found = self._batched[rollout].alone(rollout)
+        assert found is not None, "another fact has one that failed"
+        return found
 
     def batch_of(self, rollout: RolloutId) -> BatchFact | None:
         """Return the batch of a recorded rollout; None for one without."""

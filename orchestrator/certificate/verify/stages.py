@@ -15,7 +15,7 @@ def stage_bars(progress: "Progress") -> Report:
     bars: dict[str, TaskID] = {}
 
     def report(stage: str, done: int, total: int) -> None:
-        # One step has no share before its end: its bar moves, and does not stand at 0 %.
+        # One step has no share before its end: its bar moves, and does not show 0 %.
         known = None if total == 1 and not done else total
         if stage not in bars:
             bars[stage] = progress.add_task(stage, total=known)

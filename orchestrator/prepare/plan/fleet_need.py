@@ -389,7 +389,7 @@ def orchestrator_load(workers: int, pilot: PilotFigures, problems: Sequence[Prob
 
 def _per_assignment(size: ProblemSize) -> Guess:
     """Return the assignments of a problem, each of which is a file."""
-    return Guess(*(number / size.batch for number in (size.rollouts.middle, size.rollouts.low, size.rollouts.high)))
+    return _times(size.rollouts, 1 / size.batch)
 
 
 def orchestrator_memory(problems: Sequence[ProblemSize], rollouts: Guess) -> Guess:

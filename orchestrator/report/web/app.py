@@ -163,7 +163,7 @@ class _Endpoints:
 
         As long as the campaign was never readable, yield why.
         """
-        sent, told, sent_at = -1, "", time.monotonic()
+        sent, reported, sent_at = -1, "", time.monotonic()
         yield RETRY
         while True:
             last = self._snapshots.closing.is_set()
@@ -171,9 +171,9 @@ class _Endpoints:
             if snapshot is not None and snapshot.number != sent:
                 sent, sent_at = snapshot.number, time.monotonic()
                 yield f"event: story\nid: {sent}\ndata: {snapshot.json}\n\n".encode()
-            elif snapshot is None and self._snapshots.error != told:
-                told, sent_at = self._snapshots.error, time.monotonic()
-                yield f"event: fault\ndata: {one_line(told)}\n\n".encode()
+            elif snapshot is None and self._snapshots.error != reported:
+                reported, sent_at = self._snapshots.error, time.monotonic()
+                yield f"event: fault\ndata: {one_line(reported)}\n\n".encode()
             elif time.monotonic() - sent_at >= KEEP_ALIVE:
                 sent_at = time.monotonic()
                 yield COMMENT

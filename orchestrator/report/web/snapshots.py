@@ -48,7 +48,7 @@ class SnapshotCache:
         self._collector = collector
         self._one_at_a_time = one_at_a_time or asyncio.Lock()  # of all campaigns of one server
         self._reading: asyncio.Task[Snapshot | None] | None = None
-        """The last one for a page, which goes on where the page does not wait for it."""
+        """The last one for a page, which continues where the page does not wait for it."""
         self._due = 0.0
         self._final = False
         self._snapshot: Snapshot | None = None

@@ -20,19 +20,16 @@ def drift(a, *, seeds, horizon=1.0):
     """A level with noise."""
     return a[:, np.newaxis] + 0.1 * pb.normal(seeds, int(horizon / 0.05) + 1)
 '''
-CAMPAIGN = """name = "drift"
-seed = 5
+MODEL = """seed = 5
 horizon = 1.0
-specification = "always (x > -0.2)"
-batch = 32
 clip = [-1.0, 2.0]
-claims = [{ quantity = "failure_probability", delta = 0.05 }, { quantity = "mean", delta = 0.05 }]
-
-[system]
-python = "drift.py:drift"
-
-[space]
-a = { low = 0, high = 1 }
+system = { python = "drift.py:drift" }
+space = { a = { low = 0, high = 1 } }
+"""
+CAMPAIGN = f"""name = "drift"
+{MODEL}specification = "always (x > -0.2)"
+batch = 32
+claims = [{{ quantity = "failure_probability", delta = 0.05 }}, {{ quantity = "mean", delta = 0.05 }}]
 
 [[problems]]
 name = "robustness"
@@ -194,26 +191,17 @@ def test_the_worst_alone_keep_their_samples(started: Processes, tmp_path: Path) 
 
 
 FRESH = SYSTEM.replace("import", "import time\nimport", 1).replace("return a", "time.sleep(0.03)\n    return a")
-BOUNDED = """name = "fresh"
-seed = 5
-horizon = 1.0
-specification = "x > -0.2"
+BOUNDED = f"""name = "fresh"
+{MODEL}specification = "x > -0.2"
 batch = 16
-clip = [-1.0, 2.0]
 spot_check_followups = 60
-
-[system]
-python = "drift.py:drift"
-
-[space]
-a = { low = 0, high = 1 }
 
 [[problems]]
 name = "robustness"
 method = "kriging"
 rkhs_norm = 1.0
 max_tests = 64
-kernel = { nu = 2.5, length_scale = 0.7 }
+kernel = {{ nu = 2.5, length_scale = 0.7 }}
 """
 
 

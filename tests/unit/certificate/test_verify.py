@@ -743,7 +743,7 @@ def test_values_may_differ_in_their_last_digit(a: float, b: float, *, same: bool
 
 
 def test_a_stage_of_one_step_has_no_share_before_its_end() -> None:
-    """Else its bar stands at 0 % for seconds, as if nothing happened."""
+    """Else its bar shows 0 % for seconds, as if nothing happened."""
     progress = Progress(disable=True)
     report = stage_bars(progress)
     shown = []

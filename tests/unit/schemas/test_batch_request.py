@@ -6,7 +6,7 @@ from pydantic import ValidationError
 from perfbound.schemas.batch import MOST_NUMBERS, BatchRequest, read_request
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.rollout import WithinBatch
-from tests.fakes.batches import batch_request, one
+from tests.fakes.batches import batch_request, one, within
 
 
 def test_rollouts_are_in_the_order_of_tests_and_then_of_replicates() -> None:
@@ -50,7 +50,7 @@ def test_what_does_not_fit_is_refused(keys: dict[str, object]) -> None:
 
 def test_a_request_is_read_as_that_of_a_batch_or_of_a_rollout() -> None:
     batch = batch_request(one.spec, [(0.1,), (0.2,)])
-    single = batch.single(1).model_copy(update={"within": batch.within(1), "options": {"seeds": 1.0}})
+    single = batch.single(1).model_copy(update={"within": within(batch, 1), "options": {"seeds": 1.0}})
     for request in (batch, single, batch.single(0)):
         assert read_request(request.model_dump_json()) == request
     for text in ("", "3", "{"):
@@ -60,6 +60,6 @@ def test_a_request_is_read_as_that_of_a_batch_or_of_a_rollout() -> None:
 
 @pytest.mark.parametrize("keys", [{"place": 3}, {"seeds": (1, 2)}, {"x": ((1.0,), (1.0, 2.0), (3.0,))}, {"place": -1}])
 def test_a_batch_without_the_rollout_is_refused(keys: dict[str, object]) -> None:
-    fields = batch_request(one.spec, [(1.0,)] * 3).within(2).model_dump() | keys
+    fields = within(batch_request(one.spec, [(1.0,)] * 3), 2).model_dump() | keys
     with pytest.raises(ValidationError):
         WithinBatch(**fields)

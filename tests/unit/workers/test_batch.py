@@ -13,7 +13,7 @@ from perfbound.schemas.trajectory.trajectory import decode
 from perfbound.workers.batch import run_batch_on
 from perfbound.workers.simulate import run_request_on
 from perfbound.workers.systems.base import Cancelled, SystemUnderTest
-from tests.fakes.batches import Starts, batch_request, many, one
+from tests.fakes.batches import Starts, batch_request, many, one, within
 
 pytestmark = pytest.mark.integration
 """A function that reports no progress has a clock, which sleeps."""
@@ -176,7 +176,7 @@ def test_a_rollout_within_its_batch_is_simulated_with_all_of_it() -> None:
     request = batch_request(summed.spec, STARTS, replicates=2)
     file = read_batch(run_batch_on(summed, request, lambda _: None))
     for place in range(len(request)):
-        again = request.single(place).model_copy(update={"within": request.within(place)})
+        again = request.single(place).model_copy(update={"within": within(request, place)})
         found = decode(run_request_on(summed, again, lambda _: None))
         assert np.array_equal(file.batch.trajectory(place).samples, found.samples)
         alone = decode(run_request_on(summed, request.single(place), lambda _: None))
@@ -185,7 +185,7 @@ def test_a_rollout_within_its_batch_is_simulated_with_all_of_it() -> None:
 
 def test_only_a_vectorised_system_repeats_a_batch() -> None:
     request = batch_request(one.spec, STARTS)
-    again = request.single(0).model_copy(update={"within": request.within(0)})
+    again = request.single(0).model_copy(update={"within": within(request, 0)})
     with pytest.raises(SimulationError, match="one is not vectorised, and repeats no batch"):
         run_request_on(one, again, lambda _: None)
 

@@ -79,7 +79,7 @@ function numberSpace(plot, k, low, high) {
 
 /** The width of an axis beside its label, in pixels: more for long numbers, which would be under the label. */
 function axisWidth(plot, texts, k, cycle) {
-  if (cycle > 1) return plot.axes[k]._size; // as uPlot advises: else widths and numbers may go on changing one another
+  if (cycle > 1) return plot.axes[k]._size; // as uPlot advises: else widths and numbers may change one another without end
   return Math.max(AXIS, Math.ceil(10 + Math.max(0, ...(texts ?? []).map(textWidth))));
 }
 

@@ -414,7 +414,7 @@ def coupled(z: Any, *, seeds: Any, horizon: float) -> Any:
 
 
 def test_where_the_batch_is_the_unit_a_repeated_rollout_is_repeated_within_it(tmp_path: Path) -> None:
-    """Also one of the recheck, which the review asks for once more, or somebody opens."""
+    """Also one of the recheck, which the review asks for once more, or a replay opens."""
     chosen = sampled(16, specification="always (y >= 1)", recheck=7, space={"z": {"low": 0.0, "high": 9.0}})
     with played(tmp_path / "run", chosen, system=coupled) as play:
         assert list(play.ledger.series["recheck"].observations) == [1.0] * 7

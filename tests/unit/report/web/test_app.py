@@ -537,7 +537,7 @@ def test_a_failed_refresh_is_reported_once_and_the_page_keeps_its_data(stub: Stu
         for path in ("/story.json", "/"):
             refused = await client.ask(path)
             assert (refused.status, refused.text) == (503, "the disk is gone\n")
-        # A page that did not wait for the data is told.
+        # A page that did not wait for the data gets the reason.
         assert answer.text.count("event: fault\ndata: the disk is gone\n\n") == 1
         stub.trouble = None
         await until(lambda: answer.stories)
