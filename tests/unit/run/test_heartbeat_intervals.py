@@ -16,6 +16,8 @@ from tests.unit.run.test_service import a_config
 
 HUNG_AFTER = 3.0
 CONFIG = a_config(max_tests=4, replicates=2, hung_after=HUNG_AFTER)
+LONGER = a_config(max_tests=60, replicates=2, hung_after=HUNG_AFTER)
+"""Enough for both workers: a shorter campaign may end before the second one has joined it."""
 
 
 @pytest.fixture(autouse=True)
@@ -75,12 +77,12 @@ def test_the_fleet_is_told_and_the_certificate_is_that_of_any_other(
 ) -> None:
     """Also where one worker is of a build that does not know the message."""
     watched, former = Watched(), Watched(former=True)
-    expected = campaign(tmp_path / "run", CONFIG, workers=0, wraps=[watched, former])
+    expected = campaign(tmp_path / "run", LONGER, workers=0, wraps=[watched, former])
     assert set(watched.intervals) == set(former.intervals) == {1.0}
     assert failures(tmp_path / "run") == []
     monkeypatch.setattr(messages, "MOST", 250)
     small = Watched()
-    assert campaign(tmp_path / "small", CONFIG, workers=0, wraps=[small]) == expected
+    assert campaign(tmp_path / "small", LONGER, workers=0, wraps=[small]) == expected
     assert small.intervals == []
 
 
