@@ -15,7 +15,6 @@ from ...schemas.errors import PerfboundError, TrajectoryError
 from ...schemas.ids import RolloutId
 from ...schemas.rollout import RequestTemplate, RolloutRequest
 from ...schemas.system import SystemSpec
-from ...schemas.trajectory.batch import read_batch
 from ...schemas.trajectory.trajectory import Trajectory, decode
 from ..fleet.children.child import HangError, ask, system_options
 
@@ -112,18 +111,15 @@ class BatchCost(NamedTuple):
     """Bytes."""
 
 
-def cost_in_batch(folder: Path, rollouts: int, system: SystemSpec) -> BatchCost | None:
+def cost_in_batch(folder: Path, rollouts: int) -> BatchCost | None:
     """Return the cost in the `trial_batches` behind so many rollouts; None if none ran."""
     if not _file(folder, rollouts + 1).exists():
         return None
     path, written = _file(folder, rollouts + 1), [_file(folder, k).stat().st_mtime for k in range(rollouts + 2)]
     *singly, _, batched = [after - before for before, after in pairwise(written)]
-    request = BatchRequest.model_validate_json(read_batch(path.read_bytes()).request)
-    # Where seeds decide nothing, equal starts are equal rollouts, which are compressed to the size of one.
-    keys = zip(request.x, request.seeds if request.variant in system.noisy else (0,) * TRIED, strict=True)
     # A batch may take as long as one rollout: what counts is what each further one adds.
     seconds = max(batched - min(singly, default=0.0), FASTEST) / (TRIED - 1)
-    return BatchCost(seconds, path.stat().st_size / len(set(keys)))
+    return BatchCost(seconds, path.stat().st_size / TRIED)
 
 
 def have_one_grid(trajectories: Sequence[Trajectory]) -> bool:

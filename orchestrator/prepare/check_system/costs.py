@@ -29,9 +29,11 @@ def judge_memory(measurements: Measurements) -> SystemFinding | None:
         return passed("memory", f"{peak}; growth was not judged over only {len(measured)} rollouts")
     memory = [found.memory for found in measured]
     quarter = len(memory) // 4
-    # From the highest level of the second quarter to the lowest of the last: a level that is reached once is no growth.
-    growth = min(memory[-quarter:]) - max(memory[quarter : 2 * quarter])
-    each = growth / (len(memory) - 3 * quarter + 1)
+    rises = [_rise(memory, quarter, place, place) for place in range(2 * quarter, len(memory) - quarter + 1)]
+    # From the highest level of the second quarter to the lowest of the last, but for the largest rise of one rollout:
+    # a level that is reached once, as when a compiler meets another horizon, is no growth.
+    growth = _rise(memory, quarter, 2 * quarter, len(memory) - quarter) - max(*rises, 0)
+    each = growth / (len(memory) - 3 * quarter)
     if growth <= GROWTH_MARGIN:
         return passed("memory", f"{peak}; no growth over {len(memory)} rollouts")
     lost = each * CAMPAIGN > ROOM
@@ -42,6 +44,11 @@ def judge_memory(measurements: Measurements) -> SystemFinding | None:
         f"{text}, {each * CAMPAIGN / 1e9:.1f} GB in {CAMPAIGN:,} rollouts",
         "free what a rollout makes: clear lists and caches, close figures, simulators and files at its end",
     )
+
+
+def _rise(memory: Sequence[int], begin: int, middle: int, end: int) -> int:
+    """Return by how much all levels from `end` on are above all those between `begin` and `middle`."""
+    return min(memory[end:]) - max(memory[begin:middle])
 
 
 def judge_output(measurements: Measurements) -> SystemFinding | None:
@@ -127,21 +134,23 @@ def judge_speed(measurements: Measurements) -> SystemFinding | None:
     rate, workers = 1 / max(seconds, 1e-9), measurements.processors
     text = f"{seconds * 1000:.3g} ms a rollout, {size / 1000:,.0f} kB its file"
     rates = f"about {_rate_text(rate)} rollouts/s from 1 worker, at most {_rate_text(rate * workers)} from {workers}"
-    return passed(
-        "speed", f"{text}; {rates} (the processors of this machine){_batch_text(measurements, seconds, size)}"
-    )
+    return passed("speed", f"{text}; {rates} (the processors of this machine){_batch_text(measurements, seconds)}")
 
 
-def _batch_text(measurements: Measurements, seconds: float, size: int) -> str:
+def _batch_text(measurements: Measurements, seconds: float) -> str:
     """Return which batch is proposed; nothing where a batch would not pay, or rollouts cannot share a time grid."""
     batched = [found.seconds for found in measurements.batched.measured] if measurements.batched else []
     in_batch = max(batched, default=seconds)
+    grids = {found.grid for _, found in measurements.good}
+    # In a batch a rollout is its samples, and no pictures.
+    size = 8 * max(grid.samples for grid in grids if grid) * len(measurements.spec.columns)
     batch = proposed_batch(in_batch, size, measurements.undecided, measurements.processors)
-    if batch == 1 or len({found.grid for _, found in measurements.good}) > 1:
+    if batch == 1 or len(grids) > 1:
         return ""
     # A rollout of its own costs the campaign some milliseconds more than its simulation.
-    cost = f", {in_batch * 1000:.2g} ms each" if batched else ""
-    return f"; with the key batch = {batch} a campaign simulates so many at once{cost}"
+    cost = f"about {in_batch * 1000:.2g} ms" if in_batch else "too little to be measured"
+    added = f", of which one more costs {cost}" if batched else ""
+    return f"; with the key batch = {batch} a campaign simulates so many at once{added}"
 
 
 def _rate_text(rate: float) -> str:

@@ -148,7 +148,7 @@ def _finished(
         with tempfile.TemporaryDirectory() as name:
             simulate_in_child(system, [*requests, *trial_batches(plan.template, requests)], Path(name))
             beside.undeclared = tuple(sorted(undeclared_files(Path(name))))
-            beside.in_batch = cost_in_batch(Path(name), len(requests), plan.spec)
+            beside.in_batch = cost_in_batch(Path(name), len(requests))
             beside.size = file_size(Path(name))
             yield from finished(system, requests, Path(name))
     except ChildRolloutError as error:

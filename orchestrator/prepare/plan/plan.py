@@ -14,7 +14,6 @@ from ....schemas.file.config import CampaignConfig
 from ....schemas.ids import RECHECK, SPOT_CHECK, RolloutId
 from ....schemas.result.facts import Header
 from ....schemas.rollout import RolloutRequest
-from ....schemas.system import SystemSpec
 from ....schemas.trajectory.trajectory import Trajectory
 from ....schemas.values import Guess
 from ...campaign.admission import check_whole
@@ -229,7 +228,7 @@ def _pilot(header: Header, found: Plans, system: ChildSystem) -> _Pilot:
         folder, begin = Path(name), time.time()
         simulate_in_child(system, [*requests, *trial_batches(header.template, requests)], folder)
         pilot = _pilot_of(header, starts, list(finished(system, requests, folder)), folder, begin)
-        return _with_batches(pilot, folder, header.spec, len(requests))
+        return _with_batches(pilot, folder, len(requests))
 
 
 def _pilot_of(
@@ -269,9 +268,9 @@ def _pilot_of(
     return _Pilot(figures, tuple(starts[: len(whole)]), tuple(whole), figures.size if one_grid else None)
 
 
-def _with_batches(pilot: _Pilot, folder: Path, spec: SystemSpec, rollouts: int) -> _Pilot:
+def _with_batches(pilot: _Pilot, folder: Path, rollouts: int) -> _Pilot:
     """Return a pilot with what a rollout of a vectorised system costs in a batch."""
-    found = cost_in_batch(folder, rollouts, spec)
+    found = cost_in_batch(folder, rollouts)
     if found is None:
         return pilot
     return replace(pilot, figures=replace(pilot.figures, added=found.seconds), batch_size=found.size)

@@ -350,7 +350,9 @@ def test_the_horizon_is_information(changes: dict[str, Any], words: str) -> None
         (lambda place: 100 * MB + min(place, 60) * MB, "passed"),  # a cache fills, and is full
         (lambda place: 100 * MB + place % 40 * MB, "passed"),  # garbage comes and goes
         (lambda place: 100 * MB + GROWTH_MARGIN * (place > 200), "passed"),  # an arena more
+        (lambda place: 100 * MB + 36 * MB * (place > 200), "passed"),  # something is compiled
         (lambda place: 100 * MB + place * 10_000, "warning"),
+        (lambda place: 100 * MB + place * 10_000 + 36 * MB * (place > 200), "warning"),
         (lambda place: 100 * MB + place * 2 * MB, "failed"),  # 20 GB in a campaign
     ],
 )
@@ -360,6 +362,17 @@ def test_the_growth_of_memory(memory: Callable[[int], int], status: str) -> None
     assert others(found).keys() <= {"memory"}
     if status == "warning":
         assert says(found["memory"].detail, "10 kB 0.1 GB 10,000 rollouts")
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [(2e-5, "batch = 1024 one more costs about 0.02 ms"), (0.0, "batch = 1024 one more costs too little measured")],
+)
+def test_the_batch_follows_from_the_samples_and_from_what_one_more_rollout_costs(seconds: float, words: str) -> None:
+    several = run(0, TRIALS.fresh(), lambda process, place, trial: {"seconds": seconds})
+    pictures = evidence(lambda process, place, trial: {"file_bytes": 10 * MB})  # of which a batch has none
+    found = {each.check: each for each in judge(replace(pictures, batched=several))}
+    assert says(found["speed"].detail, words)
 
 
 def test_few_rollouts_show_no_growth() -> None:
