@@ -12,6 +12,7 @@ from ...schemas.batch import MOST_NUMBERS
 from ...schemas.errors import CampaignError
 from ...schemas.file.config import CampaignConfig
 from ...schemas.file.drawn_claims import SAMPLED, DrawnClaim
+from ...schemas.file.keys import most_kept
 from ...schemas.file.objectives import OBJECTIVES, Objective, ProblemName, Reading, Sense, Statement, rolled_out
 from ...schemas.file.parameters import parameter_ranges
 from ...schemas.file.parts import parts_of
@@ -75,6 +76,8 @@ class ProblemPlan:
     """What is claimed of drawn starts, the first claim first; empty where none are drawn."""
     batch: int = 1
     """Rollouts of a batch at most."""
+    gradual: bool = False
+    """As in the machine's plan."""
     box: bool = False
     """Whether the space is ranges, and listed starts are points of the Sobol sequence in them."""
     deterministic: bool = False
@@ -106,7 +109,9 @@ class ProblemPlan:
         """What the campaign machine needs of it."""
         block = block_size(self.batch, self.rollouts, len(self.parameters)) if self.is_planned else 1
         window = self.window if block == 1 else max(1, min(PLANNED_BLOCKS, self.window))
-        return state.Plan(self.name, window, self.budget, self.rollouts, batch=self.batch, block=block)
+        return state.Plan(
+            self.name, window, self.budget, self.rollouts, batch=self.batch, block=block, gradual=self.gradual
+        )
 
     @property
     def is_planned(self) -> bool:
@@ -294,6 +299,7 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
         sense=config.sense_of(problem),
         claims=config.claims_of(problem),
         batch=config.batch,
+        gradual=most_kept(config.keep) is not None,
         box=isinstance(config.space, dict),
         deterministic=not set(variants) & set(spec.noisy),
         requirements=tuple(each.name for each in config.specifications),

@@ -13,7 +13,8 @@ tests, numbered from 0; a test goes through four phases, and this table lists ev
 
 1. Tests are proposed and observed in their order.
 2. The window is kept full: test i is proposed right after test i-window is observed, before any other observation, so
-   that its z depends on the observations 0 .. i-window and never on the speed of a worker.
+   that its z depends on the observations 0 .. i-window and never on the speed of a worker. A gradual window is small
+   for the first tests, and grows with i.
 3. A problem that has stopped proposes and observes nothing more; its open tests are withdrawn and count as closed.
 
 The checks of a finished campaign (spot check, recheck) are series of tests like a problem's: `with_series` adds one
@@ -54,6 +55,8 @@ LEGAL: dict[tuple[Phase, str], tuple[Phase, ...]] = {
 }
 """(phase of the test, event) -> the phases that may follow."""
 Standing = Literal["going on", "spent", "answered"]
+FIRST_WINDOW = 4
+"""Of a gradual window."""
 LEGAL_OF_PROBLEM: dict[tuple[Standing, str], tuple[Standing, ...]] = {
     ("going on", "Observed"): ("going on", "spent", "answered"),
     # Not one that is answered: it ended by its own rule, and no further test decides anything.
@@ -83,6 +86,12 @@ class Plan:
     """A block and its first test, from which on blocks are whole: the last one before an extension may be shorter."""
     followups: int = 0
     """Tests at most that follow one by one, without batches."""
+    gradual: bool = False
+    """Whether the window begins small, since what is kept of a rollout follows from the tests that are closed."""
+
+    def window_at(self, block: int) -> int:
+        """Return how many blocks at most are in flight with this one."""
+        return min(self.window, max(FIRST_WINDOW, block // 2)) if self.gradual else self.window
 
     @property
     def blocks(self) -> int:
@@ -204,7 +213,7 @@ class ProblemState:
     def may_propose(self) -> bool:
         """Whether the next test may be proposed from the observations so far."""
         # Rule 2: a test in flight keeps its place in the window until it is observed, not until it is complete.
-        room = self.proposed < min(self.observed + self.plan.window, self.plan.blocks)
+        room = self.proposed < min(self.observed + self.plan.window_at(self.proposed), self.plan.blocks)
         return self.stopped_by is None and room
 
     def phase(self, test: int) -> Phase:

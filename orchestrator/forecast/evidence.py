@@ -1,7 +1,7 @@
 """How many bytes the trajectory files of a campaign take, from those of one rollout.
 
 With `keep = "worst N"` a rollout keeps its samples if fewer than N of those before it are as bad: of n rollouts in
-random order about N (1 + ln(n / N)) do. Those of the first blocks are proposed before any is closed, and keep N each.
+random order about N (1 + ln(n / N)) do, and more where others are in flight.
 """
 
 import math
@@ -28,6 +28,9 @@ def kept_rollouts(config: CampaignConfig, plan: ProblemPlan, rollouts: float) ->
     most, machine = most_kept(config.keep), plan.machine
     if most is None:
         return rollouts if config.keep == "all" else 0.0
-    first = max(1.0, min(rollouts, machine.window * machine.block * len(plan.rollouts)))
-    share = min(1.0, most / config.batch)
-    return min(rollouts, max(first * share, min(first, most)) + most * math.log(max(1.0, rollouts / max(first, most))))
+    each = machine.block * len(plan.rollouts)
+    found = 0.0
+    for block in range(math.ceil(rollouts / each)):
+        closed = max(0, block + 1 - machine.window_at(block)) * each
+        found += each * min(most / max(closed, most), most / config.batch, 1.0)
+    return min(rollouts, found)

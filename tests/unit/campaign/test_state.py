@@ -264,6 +264,29 @@ def test_check_finds_a_broken_state() -> None:
             assert_invariants(State((broken,)))
 
 
+def test_a_gradual_window_begins_small_and_is_full_at_twice_its_size() -> None:
+    plan = replace(a_plan(window=64, max_tests=200), gradual=True)
+    assert [plan.window_at(test) for test in (0, 1, 4, 8, 10, 12, 100, 127, 128, 199)] == [
+        4,
+        4,
+        4,
+        4,
+        5,
+        6,
+        50,
+        63,
+        64,
+        64,
+    ]
+    assert replace(plan, window=3).window_at(0) == 3
+    assert replace(plan, gradual=False).window_at(0) == 64
+    state = initial((plan,))
+    for test in range(4):
+        state, _ = step(state, Proposed("p", test))
+    with pytest.raises(IllegalEvent):
+        step(state, Proposed("p", 4))
+
+
 def test_a_rollout_has_one_text_form() -> None:
     assert RolloutId.parse(str(rollout(12, "true", 3))) == rollout(12, "true", 3)
 
@@ -281,11 +304,12 @@ class Course:
     def expected(self) -> list[tuple[str, int, int]]:
         """(what, test, observations known at that moment), by the definition of the window."""
         last = self.plan.max_tests - 1 if self.stop is None else min(self.stop, self.plan.max_tests - 1)
-        order = [("propose", test, 0) for test in range(min(self.plan.window, self.plan.max_tests))]
+        order, proposed = [], 0
         for test in range(last + 1):
+            while proposed < self.plan.max_tests and proposed - self.plan.window_at(proposed) < test:
+                order.append(("propose", proposed, test))
+                proposed += 1
             order.append(("observe", test, test))
-            if test < last and test + self.plan.window < self.plan.max_tests:
-                order.append(("propose", test + self.plan.window, test + 1))
         return order
 
 
@@ -377,7 +401,8 @@ def courses(draw: st.DrawFn) -> dict[str, Course]:
         budget = draw(st.integers(1, 10))
         rollouts = draw(st.sampled_from([(("true", 0),), PAIR, (*PAIR, ("true", 1))]))
         stop = draw(st.none() | st.integers(0, budget - 1))
-        found[name] = Course(Plan(name, draw(st.integers(1, 8)), budget, rollouts), stop)
+        window, gradual = draw(st.integers(1, 8)), draw(st.booleans())
+        found[name] = Course(Plan(name, window, budget, rollouts, gradual=gradual), stop)
     return found
 
 

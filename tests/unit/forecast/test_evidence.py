@@ -25,15 +25,15 @@ def a_plan(batch: int = 256, tests: int = 100_000, **changes: Any) -> Any:
 @pytest.mark.parametrize("tests", [5000, 100_000])
 def test_about_so_many_are_kept_as_in_a_campaign_with_values_in_random_order(batch: int, most: int, tests: int) -> None:
     config, plan = a_plan(batch, tests, keep=f"worst {most}")
-    rng, kept, window = np.random.default_rng(1), Kept(config.keep), plan.machine.window
+    rng, kept, window_at = np.random.default_rng(1), Kept(config.keep), plan.machine.window_at
     blocks = [rng.normal(size=min(batch, tests - first)) for first in range(0, tests, batch)]
-    found = 0
-    for number in range(len(blocks) + window):
-        if number < len(blocks):
-            kept.propose(number)
-        if 0 <= (closed := number - window + 1) < len(blocks):
+    found = closed = 0
+    for number in range(len(blocks) + 1):
+        while closed < len(blocks) and (number == len(blocks) or closed <= number - window_at(number)):
             found += len(kept.places(closed, blocks[closed]) or [])
             kept.observe(closed, blocks[closed], 0)
+            closed += 1
+        kept.propose(number)
     assert found / 1.5 < kept_rollouts(config, plan, tests) < found * 1.5
 
 
