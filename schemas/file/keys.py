@@ -132,8 +132,8 @@ class CampaignKeys(CampaignSize):
     regions: bool = Field(
         default=False,
         exclude_if=lambda regions: not regions,
-        description="divide D into boxes certified safe, certified unsafe or undecided; for one problem of the robustness "
-        "on a box, by method `rigorous`",
+        description="divide D into boxes certified safe, certified unsafe or undecided; for one problem of the "
+        "robustness on a box, by method `rigorous`",
     )
     batch: int = Field(
         default=1,
