@@ -89,7 +89,7 @@ class CampaignKeys(CampaignSize):
     required_margin: float = Field(
         default=0.0,
         exclude_if=lambda margin: margin == 0,
-        description="for the verdict, if the first claim is a bound from below: least margin that it has to show",
+        description="for the verdict, if the first claim is a bound from below: its least margin",
     )
     required_at_most: float | None = Field(
         default=None,
@@ -126,22 +126,22 @@ class CampaignKeys(CampaignSize):
     on_refuted: Literal["continue", "stop"] = Field(
         default="continue",
         exclude_if=lambda choice: choice == "continue",
-        description="what a problem does when its tests refute one of its assumptions; `stop` is for methods `rigorous`"
-        " and `scenario`, without spot check. A problem whose bounds contradict its constants always ends",
+        description="what a problem does when its tests refute an assumption; `stop` is for methods `rigorous` and "
+        "`scenario`, without spot check. A problem whose bounds contradict its constants always ends",
     )
     regions: bool = Field(
         default=False,
         exclude_if=lambda regions: not regions,
-        description="divide D into boxes that are certified safe, certified unsafe or undecided; for one problem of the"
-        " robustness on a box, by method `rigorous`",
+        description="divide D into boxes certified safe, certified unsafe or undecided; for one problem of the "
+        "robustness on a box, by method `rigorous`",
     )
     batch: int = Field(
         default=1,
         ge=1,
         le=LARGEST_BATCH,
         exclude_if=lambda batch: batch == 1,
-        description="rollouts that a worker simulates for one assignment, and that are one file: those of a test, or of"
-        " consecutive tests whose starts no rollout decides",
+        description="rollouts of one assignment, in one file: those of a test, or of consecutive tests whose starts no "
+        "rollout decides",
     )
     keep: str = Field(
         default="all",

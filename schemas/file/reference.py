@@ -32,8 +32,8 @@ from .space import PROGRAM_KEYS, ProgramLimits, Range, Scenarios, SpaceKind, Sta
 
 HEAD = """# Reference: campaign files
 
-This page lists every key of a campaign file, which is written in TOML. `make schemas` generates it from the classes in
-`schemas/`, with a [JSON Schema](../schemas/json/v1/campaign.json) for editors. A file with an unknown key is refused.
+A campaign file is written in TOML; a file with an unknown key is refused. `make schemas` generates this page from the
+classes in `schemas/`, with a [JSON Schema](../schemas/json/v1/campaign.json) for editors.
 Robustness has the unit of the predicates. [Theory](theory.md) explains the symbols, [STL](stl.md) the specifications.
 """
 PROBLEM_KEYS = """

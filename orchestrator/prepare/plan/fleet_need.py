@@ -32,7 +32,7 @@ RESULT_SECONDS = 1.8e-3
 RESULT_LOAD = 4.0e-3
 """CPU time of all threads of the orchestrator for a result of 100 kB over a link, see docs/performance.md."""
 BATCH_LOAD, BATCHED_LOAD, BATCHED_BYTE_LOAD = 7.5e-3, 2.1e-5, 8e-9
-"""CPU time of the orchestrator for a batch, and for each rollout and each byte of it, see docs/performance.md."""
+"""CPU time of the orchestrator for a batch, its rollouts and their bytes: twice what docs/performance.md measures."""
 HEARTBEAT_SECONDS = 105e-6
 """CPU time of the orchestrator for a heartbeat, in the transport and in the loop, see docs/performance.md."""
 MESSAGE = 300
