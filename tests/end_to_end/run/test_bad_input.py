@@ -1,5 +1,6 @@
 """Bad input: one line of error before any file is made, and no loss."""
 
+import contextlib
 import json
 import os
 import re
@@ -15,8 +16,10 @@ from pathlib import Path
 import pytest
 
 from perfbound.orchestrator import cli
+from perfbound.orchestrator.cli import entry
 from perfbound.orchestrator.fleet.children import child
 from perfbound.orchestrator.store.rows import SCHEMA_VERSION
+from perfbound.schemas.stop_signals import stop_signals
 from perfbound.schemas.system import SystemSpec
 from tests.campaigns import FOLDER
 from tests.end_to_end.processes import (
@@ -46,8 +49,16 @@ class Here:
 
     def run(self, *arguments: str) -> Ended:
         self._monkeypatch.setattr(sys, "argv", ["perfbound", *arguments])
-        with pytest.raises(SystemExit) as caught:
-            cli.main()
+        # It would end the process of the tests with its own exit code, whatever they found.
+        self._monkeypatch.setattr(entry, "process_end", contextlib.nullcontext)
+        self._monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
+        before = {number: signal.getsignal(number) for number in stop_signals()}
+        try:
+            with pytest.raises(SystemExit) as caught:
+                cli.main()
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
         out, err = self._capfd.readouterr()
         assert isinstance(caught.value.code, int)
         return Ended(caught.value.code, out, err)

@@ -184,7 +184,10 @@ class Judge:
         with self._measuring:
             if tests not in self._usual:
                 ended = tree.run(stage.usual, None)
-                if ended.code not in {PASSED, FAILURES, NOTHING_COLLECTED}:
+                # With a failure that is no test's, as of a process that ends otherwise, every mutant would seem caught.
+                if ended.code not in {PASSED, FAILURES, NOTHING_COLLECTED} or (ended.code == FAILURES) != bool(
+                    ended.failed
+                ):
                     raise BaselineError(f"{tests}: pytest ends with {ended.code} without a mutant; fix that first")
                 for each in ended.failed:
                     sys.stderr.write(f"left out, since it fails without a mutant: {each}\n")
