@@ -79,6 +79,11 @@ def test_the_limit_is_that_of_the_option_of_the_file_or_the_default(check: Check
     assert check(never, f"deadline = 300.0\n{CAMPAIGN}", limit=7.0)[1] == [7.0] * 4
 
 
+def test_the_horizon_of_the_file_is_compared_with_half_of_it(check: Check) -> None:
+    (horizon,) = [each for each in check(lambda *_: False)[0].findings if each.check == "horizon"]
+    assert horizon.detail == "trajectories of 10 s and of half of it agree in the part that they share"
+
+
 def test_a_first_start_that_hangs_leaves_the_other_checks(check: Check) -> None:
     first: list[tuple[float, ...]] = []
 

@@ -17,6 +17,7 @@ from perfbound.orchestrator.mathematics.bounds.checks.stationarity import (
     _Column,
     _Ranks,
 )
+from perfbound.orchestrator.mathematics.bounds.rounding import ROUND_OFF
 
 
 def column_of(values: list[float], starts: int | None = 1) -> AdaptiveOrderTest:
@@ -66,6 +67,19 @@ class TestAdaptive:
         finding = column_of(list(map(float, values))).finding()
         assert finding.status == "refuted"
         assert finding.values["threshold"] == 100
+
+    def test_evidence_that_rounding_may_have_lifted_to_the_limit_refutes_nothing(self) -> None:
+        values = np.linspace(0, 1, 40).tolist()
+
+        def at(level: float) -> AdaptiveOrderTest:
+            test = AdaptiveOrderTest(starts=1, level=level)
+            for n, value in enumerate(values):
+                test.observe("a", n, value)
+            return test
+
+        reached = at(0.01)._columns["a"].peak
+        assert at(1 / reached).finding().status == "not refuted"
+        assert at((1 + 2 * ROUND_OFF) / reached).finding().status == "refuted"
 
     def test_equal_values_refute_nothing(self) -> None:
         assert column_of([0.75] * 500).finding().status == "not refuted"
