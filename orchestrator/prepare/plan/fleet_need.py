@@ -31,8 +31,8 @@ RESULT_SECONDS = 1.8e-3
 """CPU time of the orchestrator's loop for a result of 100 kB, see docs/performance.md."""
 RESULT_LOAD = 4.0e-3
 """CPU time of all threads of the orchestrator for a result of 100 kB over a link, see docs/performance.md."""
-BATCH_LOAD, BATCHED_LOAD, BATCHED_BYTE_LOAD = 7.5e-3, 2.1e-5, 8e-9
-"""CPU time of the orchestrator for a batch, its rollouts and their bytes: twice what docs/performance.md measures."""
+BATCH_LOAD, BATCHED_LOAD, BATCHED_BYTE_LOAD = 3.7e-3, 6.5e-6, 5.3e-9
+"""CPU time of the orchestrator for a batch, for a rollout in it and for a byte of that, see docs/performance.md."""
 HEARTBEAT_SECONDS = 105e-6
 """CPU time of the orchestrator for a heartbeat, in the transport and in the loop, see docs/performance.md."""
 MESSAGE = 300
@@ -369,7 +369,7 @@ def batch_work(batch: int, size: float) -> float:
     """Return the work for a rollout of a batch, as in `ProblemSize`; `size` is its bytes.
 
     >>> batch_work(1, 3200.0), round(batch_work(256, 3200.0), 3)
-    (1.0, 0.019)
+    (1.0, 0.009)
     """
     if batch == 1:
         return 1.0
