@@ -115,7 +115,7 @@ class Stopped(BaseException):
     Not an Exception: like KeyboardInterrupt, no `except Exception` may catch it.
     """
 
-    def __init__(self, signal: int, state: str = "nothing was started") -> None:
+    def __init__(self, signal: int, state: str = "nothing was changed") -> None:
         super().__init__(f"stopped by signal {signal}")
         self.signal = signal
         self.state = state

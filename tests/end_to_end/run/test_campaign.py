@@ -267,7 +267,7 @@ def test_a_signal_that_meets_a_destructor_is_not_lost(started: Processes, busy: 
         "entry.main()\n"
     )
     ended = started.run("python", "dying.py")
-    assert (ended.code, ended.err) == (143, "perfbound: stopped; nothing was started\n")
+    assert (ended.code, ended.err) == (143, "perfbound: stopped; nothing was changed\n")
 
 
 def test_the_exit_code_is_that_of_the_campaign_though_its_link_has_not_ended(started: Processes) -> None:
@@ -328,7 +328,7 @@ def test_a_signal_while_a_command_ends_does_not_spoil_its_end(started: Processes
     assert ended.code == 0, ended.err
     codes = [line for line in ended.out.splitlines() if line != "result"]
     assert (len(codes), set(codes), ended.out.count("result")) == (59, {"0", "143"}, 59), ended.err
-    assert set(ended.err.splitlines()) == {"sent", "perfbound: stopped; nothing was started"}, ended.err
+    assert set(ended.err.splitlines()) == {"sent", "perfbound: stopped; nothing was changed"}, ended.err
     assert ended.err.count("sent") > 20, "the lines at which the signal came"
 
 
