@@ -174,7 +174,10 @@ class Service:
 
     def report_end(self) -> None:
         """Report to every worker that the certificate is issued; a message that gets lost is not repeated."""
-        self._outbox.report_end(self._roster.living)
+        # Also to those that have come since the last turn: one with --until-done would wait for another campaign.
+        waiting = (self.inbox.get(0.0) for _ in range(self.inbox.waiting))
+        late = [each.worker for each in waiting if isinstance(each, Heartbeat)]
+        self._outbox.report_end(dict.fromkeys((*self._roster.living, *late)))
 
     @property
     def _done(self) -> bool:

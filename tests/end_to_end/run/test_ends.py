@@ -104,7 +104,7 @@ def finish(started: Processes, orchestrator: Process, endpoint: str, tests: int 
 
 @pytest.mark.journey
 def test_workers_end_with_the_campaign(started: Processes, slow: Slow) -> None:
-    orchestrator, endpoint = slow("0.1 steps")
+    orchestrator, endpoint = slow("0.1 steps", tests=30)  # until both are there, also on a busy machine
     workers = [worker(started, endpoint, "--until-done") for _ in range(2)]
     assert orchestrator.wait().code == 0, orchestrator.err
     # By what the orchestrator says: it takes --idle-exit until then, which is 600 s.

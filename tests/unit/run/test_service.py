@@ -30,7 +30,16 @@ from perfbound.schemas import __version__
 from perfbound.schemas.errors import PerfboundError, SimulationError, Stopped, UnknownSystemError
 from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.file.reader import parse_campaign
-from perfbound.schemas.link.messages import MAX_RESULT, PROTOCOL, Assign, Cancel, Request, ResultHeader, WorkerState
+from perfbound.schemas.link.messages import (
+    MAX_RESULT,
+    PROTOCOL,
+    Assign,
+    Cancel,
+    Request,
+    ResultHeader,
+    RunFinished,
+    WorkerState,
+)
 from perfbound.schemas.link.seal import result_proof
 from perfbound.schemas.platforms import platform_class
 from perfbound.schemas.rollout import RolloutRequest
@@ -45,6 +54,7 @@ from tests.campaigns import UNCHECKED
 from tests.facts import facts, says
 from tests.fakes.inmemory import (
     Faults,
+    InMemoryTransport,
     InMemoryUplink,
     Log,
     Network,
@@ -819,3 +829,31 @@ def test_a_failure_before_its_cancel_is_one_of_the_system(monkeypatch: pytest.Mo
     (header,) = uplink.results
     assert header.kind == "system"
     assert says(header.error, "^RuntimeError: step test_service.py")
+
+
+def test_the_end_is_reported_to_workers_that_came_since_the_last_turn_too(tmp_path: Path) -> None:
+    begin(tmp_path / "run", SMALL)
+    with closing(Journal.open(tmp_path / "run")) as journal, Network() as network:
+        port, sent = InMemoryTransport(network), list[tuple[str, Request]]()
+        server = Service(Ledger(tmp_path / "run", journal), journal, port, None, [], resumed=False)
+        for message in appeared("early"):
+            server._take(message)
+        for message in (*appeared("late"), *appeared("late"), *appeared("early")):
+            server.inbox.put(message)
+        port.send = lambda worker, message: sent.append((worker, message))  # type: ignore[method-assign]
+        server.report_end()
+        assert sent == [("early", RunFinished()), ("late", RunFinished())]
+
+
+def appeared(worker: str) -> tuple[Token, Heartbeat]:
+    state = WorkerState(
+        protocol=PROTOCOL,
+        version=__version__,
+        worker=worker,
+        host="h",
+        platform=platform_class(),
+        pid=1,
+        systems={"test-function": load_system("test-function").spec.digest},
+        state="idle",
+    )
+    return Token(0.0, worker, alive=True), Heartbeat(0.0, worker, state)
