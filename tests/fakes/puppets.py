@@ -52,6 +52,25 @@ def scratch() -> tempfile.TemporaryDirectory[str]:
     return tempfile.TemporaryDirectory(dir="build")
 
 
+def worker_state(
+    worker: str, spec: SystemSpec, assign: Assign | None = None, progress: int = 0, *, host: str = "h", pid: int = 1
+) -> WorkerState:
+    """Return the state of a worker that fits a campaign of a system: at work on an assignment, or idle."""
+    return WorkerState(
+        protocol=PROTOCOL,
+        version=__version__,
+        worker=worker,
+        host=host,
+        platform=platform_class(),
+        pid=pid,
+        systems={spec.name: spec.digest},
+        state="busy" if assign else "idle",
+        rollout=assign.request.rollout if assign else None,
+        attempt=assign.attempt if assign else None,
+        progress=progress,
+    )
+
+
 class Clock:
     """Seconds of wall and CPU time of this process."""
 
@@ -97,7 +116,7 @@ class Puppets:
     def beat(self, name: str, attempt: Assign | None = None, progress: int = 0) -> None:
         """Send one heartbeat."""
         with self.own.running():
-            payload = encode_message(self._state(name, attempt, progress))
+            payload = encode_message(worker_state(name, self._spec, attempt, progress, host="memory"))
         self.beaten += 1
         self._sink(Heartbeat(time.monotonic(), name, decode_state(payload)))
 
@@ -130,21 +149,6 @@ class Puppets:
         file = self.file(assign.request)
         sha256, rollout = hashlib.sha256(file).hexdigest(), assign.request.rollout
         return ResultHeader(rollout=rollout, attempt=assign.attempt, worker=worker, outcome="done", sha256=sha256), file
-
-    def _state(self, name: str, assign: Assign | None, progress: int) -> WorkerState:
-        return WorkerState(
-            protocol=PROTOCOL,
-            version=__version__,
-            worker=name,
-            host="memory",
-            platform=platform_class(),
-            pid=1,
-            systems={self._spec.name: self._spec.digest},
-            state="busy" if assign else "idle",
-            rollout=assign.request.rollout if assign else None,
-            attempt=assign.attempt if assign else None,
-            progress=progress,
-        )
 
     def file(self, request: RolloutRequest) -> bytes:
         """Return a trajectory's file for `request`: little noise around 0, from the seed."""

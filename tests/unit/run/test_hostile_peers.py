@@ -24,14 +24,12 @@ from perfbound.orchestrator.run import outbox, roster, service
 from perfbound.orchestrator.run.service import Service
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.rows import DATABASE
-from perfbound.schemas import __version__
 from perfbound.schemas.errors import Stopped
 from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.file.reader import parse_campaign
 from perfbound.schemas.link import key_expressions
 from perfbound.schemas.link.ends import SEAL, SHOWN, OrchestratorEnd, Packet, WorkerEnd
 from perfbound.schemas.link.messages import (
-    PROTOCOL,
     Ack,
     Assign,
     Cancel,
@@ -43,7 +41,6 @@ from perfbound.schemas.link.messages import (
     decode_request,
     encode_message,
 )
-from perfbound.schemas.platforms import platform_class
 from perfbound.schemas.stop_signals import END_FAMILY
 from perfbound.workers.systems import load_system
 from tests.campaigns import UNCHECKED
@@ -59,6 +56,7 @@ from tests.fakes.inmemory import (
     serve,
     working,
 )
+from tests.fakes.puppets import worker_state
 
 PRESET = Path(__file__).parents[3] / "deploy" / "campaigns" / "test-function.toml"
 STRANGER = b"what a stranger takes for the secret"
@@ -321,16 +319,8 @@ def test_a_process_that_a_message_claims_is_not_ended(tmp_path: Path) -> None:
         server = Service(
             Ledger(tmp_path / "run", journal), journal, InMemoryTransport(network), fleet, [], resumed=False
         )
-        state = WorkerState(
-            protocol=PROTOCOL,
-            version=__version__,
-            worker="local-1-0123abcd",
-            host=os.uname().nodename,
-            platform=platform_class(),
-            pid=own.pid,
-            systems={"test-function": load_system("test-function").spec.digest},
-            state="idle",
-        )
+        spec = load_system("test-function").spec
+        state = worker_state("local-1-0123abcd", spec, host=os.uname().nodename, pid=own.pid)
         server._take(Token(0.0, "stranger-1", alive=True))
         server._take(Heartbeat(0.0, "stranger-1", state))
         assert server._roster.admitted("stranger-1") == state

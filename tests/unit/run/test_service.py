@@ -26,7 +26,6 @@ from perfbound.orchestrator.store import files as evidence
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.rows import DATABASE
-from perfbound.schemas import __version__
 from perfbound.schemas.errors import PerfboundError, SimulationError, Stopped, UnknownSystemError
 from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.file.reader import parse_campaign
@@ -41,7 +40,6 @@ from perfbound.schemas.link.messages import (
     WorkerState,
 )
 from perfbound.schemas.link.seal import result_proof
-from perfbound.schemas.platforms import platform_class
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.trajectory.trajectory import Trajectory, encode, read_mcap
 from perfbound.workers import worker as module
@@ -66,6 +64,7 @@ from tests.fakes.inmemory import (
     serve,
     working,
 )
+from tests.fakes.puppets import worker_state
 from tests.faults.verdict import REPRODUCIBLE, without
 
 PRESET = Path(__file__).parents[3] / "deploy" / "campaigns" / "test-function.toml"
@@ -641,19 +640,7 @@ class Puppets:
             self.finish(*self.late)
 
     def beat(self, worker: str, assign: Assign | None, progress: int) -> None:
-        state = WorkerState(
-            protocol=PROTOCOL,
-            version=__version__,
-            worker=worker,
-            host="h",
-            platform=platform_class(),
-            pid=1,
-            systems={"test-function": load_system("test-function").spec.digest},
-            state="busy" if assign else "idle",
-            rollout=assign.request.rollout if assign else None,
-            attempt=assign.attempt if assign else None,
-            progress=progress,
-        )
+        state = worker_state(worker, load_system("test-function").spec, assign, progress)
         self._sink(Heartbeat(self._clock.monotonic(), worker, state))
 
     def finish(self, worker: str, assign: Assign) -> None:
@@ -846,14 +833,5 @@ def test_the_end_is_reported_to_workers_that_came_since_the_last_turn_too(tmp_pa
 
 
 def appeared(worker: str) -> tuple[Token, Heartbeat]:
-    state = WorkerState(
-        protocol=PROTOCOL,
-        version=__version__,
-        worker=worker,
-        host="h",
-        platform=platform_class(),
-        pid=1,
-        systems={"test-function": load_system("test-function").spec.digest},
-        state="idle",
-    )
+    state = worker_state(worker, load_system("test-function").spec)
     return Token(0.0, worker, alive=True), Heartbeat(0.0, worker, state)
