@@ -55,14 +55,15 @@ LEGAL: dict[tuple[Phase, str], tuple[Phase, ...]] = {
 }
 """(phase of the test, event) -> the phases that may follow."""
 Standing = Literal["going on", "spent", "answered"]
-FIRST_WINDOW = 4
-"""Of a gradual window."""
 LEGAL_OF_PROBLEM: dict[tuple[Standing, str], tuple[Standing, ...]] = {
     ("going on", "Observed"): ("going on", "spent", "answered"),
     # Not one that is answered: it ended by its own rule, and no further test decides anything.
     ("spent", "Extended"): ("going on",),
 }
 """(standing of the problem, event) -> the standings that may follow."""
+
+FIRST_WINDOW = 4
+"""Of a gradual window."""
 
 
 @dataclass(frozen=True, slots=True)
