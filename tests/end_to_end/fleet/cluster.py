@@ -7,14 +7,17 @@ import os
 import shutil
 import subprocess
 import tempfile
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from tests.end_to_end.processes import Processes, wait_for
 
 PROGRAMS = ("slurmctld", "slurmd", "sbatch", "unshare", "nsenter", "ip")
+REFUSED = 3.0
+"""Seconds in which a node may still refuse a job that is queued again."""
 CONFIGURATION = """
 ClusterName=test
 SlurmctldHost=localhost
@@ -76,6 +79,8 @@ class Cluster:
 
     folder: Path
     inside: tuple[str, ...]
+    held: dict[str, float] = field(default_factory=dict)
+    """Jobs that wait for their time, and since when they were seen to."""
 
     def ask(self, *command: str | Path) -> str:
         """Return what a command of Slurm prints."""
@@ -89,9 +94,13 @@ class Cluster:
         return {job: (state, reason) for job, state, reason in (line.split("|", 2) for line in lines)}
 
     def hurry(self) -> None:
-        """Start at once what Slurm would start two minutes after it was queued again."""
-        for job, (state, reason) in self.jobs().items():
-            if (state, reason) == ("PENDING", "BeginTime"):
+        """Start a few seconds after it was queued again what Slurm would start after two minutes."""
+        now = time.monotonic()
+        held = [job for job, found in self.jobs().items() if found == ("PENDING", "BeginTime")]
+        self.held = {job: self.held.get(job, now) for job in held}
+        for job, since in self.held.items():
+            # Within a second of its end slurmd refuses it, as one whose credential is revoked, and Slurm ends it.
+            if now - since > REFUSED:
                 self.ask("scontrol", "update", f"JobId={job}", "StartTime=now")
 
     def is_empty(self) -> bool:
