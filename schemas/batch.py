@@ -1,7 +1,6 @@
 """The request for a batch: rollouts of one variant, of one test or of consecutive ones, that are simulated together."""
 
 import json
-from collections.abc import Sequence
 from functools import cached_property
 from typing import Self
 
@@ -13,11 +12,20 @@ from .base import Model
 from .file.signals import SignalShape
 from .ids import FileId, RolloutId, WorkId
 from .ranges import LARGEST_BATCH, MAX_FILE_BYTES, ReplicateNumber, Seconds, Seed, TestNumber
-from .rollout import MAX_PARAMETERS, Name, RequestTemplate, RolloutRequest, Sha256, Start
+from .rollout import (
+    MAX_PARAMETERS,
+    Disturbances,
+    Name,
+    RolloutRequest,
+    Sha256,
+    Start,
+    check_disturbances,
+    disturbances_of_batch,
+)
 from .system import OptionValue, SystemSpec, Variant
 
 MOST_NUMBERS = 30_000
-"""Numbers of all starts of a batch, so that its request stays a message of less than a megabyte."""
+"""Numbers of all starts and disturbances of a batch, so that its request stays a message of less than a megabyte."""
 SPARE_BYTES = 2**20
 """Of a file, for what is beside its trajectories."""
 
@@ -43,13 +51,18 @@ class BatchRequest(Model):
     x: tuple[Start, ...] = Field(min_length=1, max_length=LARGEST_BATCH)
     horizon: Seconds
     signals: tuple[SignalShape, ...] = Field(default=(), max_length=MAX_PARAMETERS)
+    disturbances: tuple[Disturbances, ...] = disturbances_of_batch()
 
     @model_validator(mode="after")
     def _fitting(self) -> Self:
         if len(self.seeds) != len(self.x) * self.replicates:
             raise ValueError(f"{len(self.seeds)} seeds for {len(self.x)} starts with {self.replicates} rollouts each")
-        if len(set(map(len, self.x))) != 1 or len(self.x) * len(self.x[0]) > MOST_NUMBERS:
-            raise ValueError(f"the starts differ in length, or have more than {MOST_NUMBERS} numbers together")
+        check_disturbances(self.disturbances, len(self.seeds))
+        if len(set(map(len, self.x))) != 1:
+            raise ValueError("the starts differ in length")
+        numbers = len(self.x) * len(self.x[0]) + sum(map(len, self.disturbances))
+        if numbers > MOST_NUMBERS:
+            raise ValueError(f"starts and disturbances have {numbers} numbers together, more than {MOST_NUMBERS}")
         return self
 
     def __len__(self) -> int:
@@ -71,10 +84,15 @@ class BatchRequest(Model):
         """The start of each rollout, shape (R, p), in the units of the parameters."""
         return np.repeat(np.array(self.x), self.replicates, axis=0)
 
+    @cached_property
+    def drawn(self) -> NDArray[np.float64]:
+        """The disturbances of each rollout, shape (R, k)."""
+        return np.array(self.disturbances or ((),) * len(self))
+
     def single(self, place: int) -> RolloutRequest:
         """Return the request for one of the rollouts alone."""
         test, number = divmod(place, self.replicates)
-        common = self.model_dump(exclude={"test", "replicate", "replicates", "seeds", "x", "signals"})
+        common = self.model_dump(exclude={"test", "replicate", "replicates", "seeds", "x", "signals", "disturbances"})
         return RolloutRequest(
             **common,
             test=self.test + test,
@@ -82,6 +100,7 @@ class BatchRequest(Model):
             seed=self.seeds[place],
             x=self.x[test],
             signals=self.signals,
+            disturbances=self.disturbances[place] if self.disturbances else (),
         )
 
     @property
@@ -96,18 +115,6 @@ def batch_rollouts(first: RolloutId, tests: int, replicates: int) -> list[Rollou
     problem, test, variant, replicate = first
     numbers = range(replicate, replicate + replicates)
     return [RolloutId(problem, each, variant, number) for each in range(test, test + tests) for number in numbers]
-
-
-def batch_request(
-    template: RequestTemplate, first: RolloutId, starts: Sequence[Sequence[float]], seeds: Sequence[int]
-) -> BatchRequest:
-    """Return the request for a batch, from `first` on, of tests with these starts (k, p); each rollout has its seed."""
-    return BatchRequest(
-        **template.common(first),
-        replicates=len(seeds) // len(starts),
-        seeds=tuple(seeds),
-        x=tuple(map(tuple, starts)),
-    )
 
 
 def read_request(text: str) -> RolloutRequest | BatchRequest:

@@ -1,12 +1,12 @@
-"""The request for one rollout, and its one builder."""
+"""The request for one rollout."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
 from .base import Model
+from .file.disturbance import MAX_DISTURBANCES
 from .file.signals import SignalShape
 from .ids import RolloutId
 from .ranges import LARGEST_BATCH, Magnitude, ReplicateNumber, Seconds, Seed, TestNumber
@@ -20,6 +20,21 @@ MAX_PARAMETERS = 1000
 Start = Annotated[tuple[Magnitude, ...], Field(min_length=1, max_length=MAX_PARAMETERS)]
 
 
+Disturbances = Annotated[tuple[Magnitude, ...], Field(max_length=MAX_DISTURBANCES)]
+"""The value of each disturbance of the system, in its order."""
+
+
+def disturbances_of_batch() -> Any:
+    """Return the field of the disturbances of each rollout of a batch."""
+    return Field(default=(), max_length=LARGEST_BATCH, exclude_if=lambda each: not each)
+
+
+def check_disturbances(each: Sequence[Sequence[float]], rollouts: int) -> None:
+    """Refuse disturbances that are not equally many for each rollout of a batch; raises ValueError."""
+    if each and (len(each) != rollouts or len(set(map(len, each))) != 1):
+        raise ValueError(f"disturbances of {len(each)} rollouts, or differently many, in a batch of {rollouts}")
+
+
 class WithinBatch(Model):
     """The batch of which a rollout is repeated: of a system that can repeat its batches alone, see `SystemSpec`.
 
@@ -29,11 +44,13 @@ class WithinBatch(Model):
     x: tuple[Start, ...] = Field(min_length=1, max_length=LARGEST_BATCH)
     seeds: tuple[Seed, ...] = Field(min_length=1, max_length=LARGEST_BATCH)
     place: int = Field(ge=0, lt=LARGEST_BATCH)
+    disturbances: tuple[Disturbances, ...] = disturbances_of_batch()
 
     @model_validator(mode="after")
     def _fitting(self) -> Self:
         if len(self.seeds) % len(self.x) or self.place >= len(self.seeds) or len(set(map(len, self.x))) != 1:
             raise ValueError(f"{len(self.x)} starts and {len(self.seeds)} seeds have no rollout in place {self.place}")
+        check_disturbances(self.disturbances, len(self.seeds))
         return self
 
 
@@ -64,6 +81,11 @@ class RolloutRequest(Model):
         exclude_if=lambda signals: not signals,
         description="the inputs over time whose knots are in `x`",
     )
+    disturbances: Disturbances = Field(
+        default=(),
+        exclude_if=lambda disturbances: not disturbances,
+        description="the values of the disturbances that the system declares",
+    )
     within: WithinBatch | None = Field(
         default=None,
         exclude_if=lambda within: within is None,
@@ -88,54 +110,3 @@ class RolloutRequest(Model):
             include={"campaign", "problem", "test", "variant", "replicate", "seed", "system", "config_sha256"}
         )
         return {name: str(value) for name, value in fields.items()} | {"rollout": self.rollout}
-
-
-@dataclass(frozen=True, slots=True)
-class RequestTemplate:
-    """The common part of the rollouts of one campaign, and the one builder of their requests."""
-
-    spec: SystemSpec
-    spec_sha256: str
-    options: Mapping[str, OptionValue]
-    horizon: float
-    visual: bool
-    campaign: str
-    config_sha256: str
-
-    @classmethod
-    def of(
-        cls,
-        spec: SystemSpec,
-        options: Mapping[str, OptionValue],
-        *,
-        horizon: float,
-        visual: bool,
-        spec_sha256: str | None = None,
-        campaign: str = "simulate",
-        config_sha256: str = "0" * 64,
-    ) -> "RequestTemplate":
-        """Fill in the system's defaults; without `campaign` and `config_sha256` the rollouts belong to none."""
-        defaults = {option.name: option.default for option in spec.options}
-        return cls(spec, spec_sha256 or spec.digest, defaults | dict(options), horizon, visual, campaign, config_sha256)
-
-    def common(self, rollout: RolloutId) -> dict[str, Any]:
-        """Return the fields that a request for a rollout, and one for a batch that begins with it, share."""
-        return {
-            "campaign": self.campaign,
-            "config_sha256": self.config_sha256,
-            "problem": rollout.problem,
-            "test": rollout.test,
-            "variant": "nominal" if rollout.variant == "nominal" else "true",
-            "replicate": rollout.replicate,
-            "system": self.spec.name,
-            "spec_sha256": self.spec_sha256,
-            "options": dict(self.options),
-            "horizon": self.horizon,
-            "signals": self.spec.signals,
-        }
-
-    def request(
-        self, rollout: RolloutId, x: Sequence[float], seed: int, *, within: WithinBatch | None = None
-    ) -> RolloutRequest:
-        """Return the request for a rollout that starts at `x` (p,), in the units of the parameters."""
-        return RolloutRequest(**self.common(rollout), x=tuple(x), seed=seed, visual=self.visual, within=within)

@@ -3,15 +3,17 @@
 import hashlib
 import re
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from .base import Model, digest
-from .errors import DefinitionError, shortened
+from .errors import DefinitionError
+from .file.disturbance import MAX_DISTURBANCES, Disturbance
 from .file.signals import SignalShape
 from .ranges import MAX_FILE_BYTES, SEED_BITS, FileBytes, Magnitude, Seconds, SeedBits
 from .values import Stamps
+from .written import Written
 
 DECIDES_NO_ROLLOUT = {"default_horizon", "trajectory_bytes"}
 """Keys that are no part of a system's identity: every request has its own horizon, and no file depends on its limit."""
@@ -27,60 +29,13 @@ AfterEnd = Literal["hold", "fail"]
 """What a rollout that ends before the horizon is: its last state stays, or it violates the specification besides."""
 
 
-class Written(type(Model)):  # type: ignore[misc]
-    """The class of what users write in Python: its call raises one plain line; a message keeps pydantic's error."""
-
-    def __call__(cls, *limits: float, **fields: Any) -> Any:
-        """Make one by names; the two limits of a parameter may stand first, without theirs.
-
-        Raises:
-            DefinitionError: a field is missing, unknown or wrong.
-
-        """
-        given = ", ".join([*map(repr, limits), *(f"{name}={value!r}" for name, value in fields.items())])
-        # The many fields of a system say nothing of the one that is wrong.
-        place = "" if cls is SystemSpec else f"{shortened(f'{cls.__name__}({given})', 120)}: "
-        if limits and cls is not Parameter:
-            raise DefinitionError(f"{place}give the fields of {cls.__name__} by their names")
-        try:
-            return super().__call__(**dict(zip(("low", "high")[: 2 * bool(limits)], limits, strict=True)), **fields)
-        except ValidationError as error:
-            remedy = TWO_NUMBERS if cls is Parameter and error.errors()[0]["loc"][:1] in {("low",), ("high",)} else ""
-            raise DefinitionError(f"{place}{_fault(error, cls)}{remedy}") from None
-        except (ValueError, TypeError):  # of them there are fewer, more, or one twice
-            raise DefinitionError(f"{place}not two limits{TWO_NUMBERS}") from None
-
-
-TWO_NUMBERS = "; give two numbers, as in Parameter(0, 5, unit='m')"
-
-
-def _fault(error: ValidationError, model: type[Model]) -> str:
-    """Return the first fault of the fields of a `Written` in words."""
-    fault = error.errors(include_url=False)[0]
-    where = ".".join(map(str, fault["loc"]))
-    match fault["type"]:
-        case "missing":
-            return f"{model.__name__} needs {where}"
-        case "extra_forbidden":
-            return f"{model.__name__} has no {where}; it has {', '.join(model.model_fields)}"
-        case "value_error":
-            return str(fault["ctx"]["error"])
-        case "float_type" | "finite_number":
-            wanted = "a finite number is needed"
-        case "string_pattern_mismatch":
-            joint = "-" if where == "name" and model is SystemSpec else "_"
-            wanted = f"a name consists of a-z, 0-9 and {joint}, the first is a letter"
-        case _:
-            wanted = str(fault["msg"]).replace("Input should", "it must")
-    return f"{where}: {fault['input']!r}: {wanted}"
-
-
 class Parameter(Model, metaclass=Written):
     """One component of the starting condition d: `Parameter(low, high, unit=...)`, or by names.
 
     The name may be left out where the parameter stands under it, as in the decorator of a function.
     """
 
+    takes_limits: ClassVar[bool] = True
     name: str = Field(default="", pattern=r"^([a-z][a-z0-9_]*)?$")
     unit: str = ""
     low: Magnitude
@@ -134,11 +89,14 @@ class Option(Model, metaclass=Written):
 class SystemSpec(Model, metaclass=Written):
     """A system under test: its parameters and options, its columns, and its software.
 
-    `columns` starts with the time `t` in seconds. `noisy` names the variants whose rollouts depend on the seed.
+    `columns` starts with the time `t` in seconds. `noisy` names the variants that depend on chance:
+    on the seed, or on disturbances.
     `versions` are those of the packages that decide the trajectory, e.g. {"pybullet": "3.2.7"}; `code` are the source
     files, filled in where the system is loaded. Seeds are below 2^`seed_bits`: 32 for an unsigned int.
     """
 
+    is_short: ClassVar[bool] = False
+    joint: ClassVar[str] = "-"
     name: str = Field(pattern=r"^[a-z][a-z0-9-]*$")
     doc: str
     parameters: tuple[Parameter, ...] = Field(min_length=1)
@@ -182,11 +140,42 @@ class SystemSpec(Model, metaclass=Written):
         "the batch as a whole can be repeated",
     )
 
+    disturbances: tuple[Disturbance, ...] = Field(
+        default=(),
+        max_length=MAX_DISTURBANCES,
+        exclude_if=lambda disturbances: not disturbances,
+        description="what is random in the rollouts of the `noisy` variants; the campaign draws their values",
+    )
+    residual: bool = Field(
+        default=True,
+        exclude_if=lambda residual: residual,
+        description="whether rollouts of the `noisy` variants depend on their seed besides the disturbances",
+    )
+
     signals: tuple[SignalShape, ...] = Field(
         default=(),
         exclude_if=lambda signals: not signals,
         description="of a campaign: the input signals whose knots are among the parameters",
     )
+    own_disturbances: tuple[Disturbance, ...] = Field(
+        default=(),
+        exclude_if=lambda disturbances: not disturbances,
+        description="of a campaign that gives disturbances other laws: those that the system declares",
+    )
+
+    @model_validator(mode="after")
+    def _disturbed(self) -> "SystemSpec":
+        if self.disturbances and not self.noisy:
+            raise ValueError("disturbances: no variant is noisy, so that none of them has an effect")
+        if not (self.residual or self.disturbances):
+            raise ValueError("residual: false is for a system with disturbances; without any, let no variant be noisy")
+        taken = {*(each.name for each in self.parameters), *(each.name for each in self.options)}
+        for name in [each.name for each in self.disturbances]:
+            if not name or name in taken:
+                what = f"{name} is that of a parameter, an option or another disturbance" if name else "one has none"
+                raise ValueError(f"disturbances: every one needs a name of its own; {what}")
+            taken.add(name)
+        return self
 
     @model_validator(mode="after")
     def _batched(self) -> "SystemSpec":
@@ -213,8 +202,8 @@ class SystemSpec(Model, metaclass=Written):
                     )
         return self
 
-    def spread(self, shapes: Iterable[SignalShape] = ()) -> "SystemSpec":
-        """Return the system as a campaign knows it: the knots of its input signals are parameters.
+    def spread(self, shapes: Iterable[SignalShape] = (), laws: Mapping[str, Disturbance] | None = None) -> "SystemSpec":
+        """Return the system as a campaign knows it: the knots of its input signals are parameters, and `laws` hold.
 
         Signals that `shapes` does not have get the default shape. The identity stays that of the system.
         """
@@ -222,19 +211,21 @@ class SystemSpec(Model, metaclass=Written):
         found = {
             each.name: given.get(each.name) or SignalShape(name=each.name) for each in self.parameters if each.signal
         }
-        if not found:
-            return self
         parameters = tuple(
             each.model_copy(update={"name": name, "signal": False})
             for each in self.parameters
             for name in (found[each.name].names if each.signal else (each.name,))
         )
-        return self.model_copy(update={"parameters": parameters, "signals": tuple(found.values())})
+        changed = tuple((laws or {}).get(each.name, each).named(each.name, each.unit) for each in self.disturbances)
+        update: dict[str, Any] = {"parameters": parameters, "signals": tuple(found.values())} if found else {}
+        if changed != self.disturbances:
+            update |= {"disturbances": changed, "own_disturbances": self.disturbances}
+        return self.model_copy(update=update) if update else self
 
     @property
     def declared(self) -> "SystemSpec":
         """The system as it describes itself: the inverse of `spread`."""
-        if not self.signals:
+        if not (self.signals or self.own_disturbances):
             return self
         names = {name: shape.name for shape in self.signals for name in shape.names}
         parameters = {
@@ -244,7 +235,14 @@ class SystemSpec(Model, metaclass=Written):
             )
             for each in self.parameters
         }
-        return self.model_copy(update={"parameters": tuple(parameters.values()), "signals": ()})
+        return self.model_copy(
+            update={
+                "parameters": tuple(parameters.values()),
+                "signals": (),
+                "disturbances": self.own_disturbances or self.disturbances,
+                "own_disturbances": (),
+            }
+        )
 
     @property
     def own_columns(self) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from ..schemas.trajectory.batch import Batch, encode_batch
 from ..schemas.trajectory.trajectory import Trajectory, check_finite
 from .faults import NOT_OF_SYSTEMS, fault_text
 from .simulate import run_request_on, simulated
-from .systems.base import Cancelled, Floats, Progress, SystemUnderTest, Vectorised
+from .systems.base import Cancelled, Floats, Progress, SystemUnderTest, Vectorised, disturbances_of
 
 LONGEST_REASON = 200
 """Characters of the reason of one failed rollout."""
@@ -56,6 +56,7 @@ def _together(system: SystemUnderTest, request: BatchRequest, progress: Progress
         horizon=request.horizon,
         options=request.options,
         progress=progress,
+        **disturbances_of(spec, request.drawn.T),
     )
     try:
         samples = real_array(returned)

@@ -13,7 +13,7 @@ from ..schemas.trajectory.early_end import held, with_end
 from ..schemas.trajectory.input_signal import start_values
 from ..schemas.trajectory.trajectory import File, Trajectory, encode
 from .systems import load_system
-from .systems.base import Progress, SystemUnderTest, Vectorised
+from .systems.base import Progress, SystemUnderTest, Vectorised, disturbances_of
 
 
 def run_request(request: RolloutRequest, progress: Progress) -> bytes:
@@ -90,7 +90,8 @@ def simulated(system: SystemUnderTest, request: RolloutRequest, progress: Progre
         trajectory = _of_batch(system, request.within, common)
     else:
         start = start_values(spec.spread(request.signals), request.x, request.horizon)
-        trajectory = system.rollout(tuple(start.values()), seed=request.seed, **common)
+        drawn = disturbances_of(spec, request.disturbances)
+        trajectory = system.rollout(tuple(start.values()), seed=request.seed, **common, **drawn)
     if trajectory.columns != spec.own_columns:
         raise SimulationError(f"{spec.name} returned the columns {trajectory.columns}, not those of its spec")
     samples = len(trajectory.samples)
@@ -108,7 +109,8 @@ def _of_batch(system: SystemUnderTest, within: WithinBatch, common: Mapping[str,
         raise SimulationError(f"{system.spec.name} is not vectorised, and repeats no batch")
     starts = np.repeat(np.array(within.x), len(within.seeds) // len(within.x), axis=0)
     seeds = np.array(within.seeds, dtype=np.uint64)
-    found = np.asarray(cast(Vectorised, system).rollouts(starts, seeds=seeds, **common))
+    drawn = disturbances_of(system.spec, np.array(within.disturbances).T)
+    found = np.asarray(cast(Vectorised, system).rollouts(starts, seeds=seeds, **common, **drawn))
     try:
         return Trajectory(system.spec.own_columns, found[within.place])
     except ValueError as error:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...schemas.batch import BatchRequest, batch_request, file_of
+from ...schemas.batch import BatchRequest, file_of
 from ...schemas.errors import EvidenceError, IllegalEvent, JournalError, one_line, shortened
 from ...schemas.file.config import CampaignConfig
 from ...schemas.ids import FileId, RolloutId, WorkId, first_of
@@ -179,7 +179,7 @@ class Ledger:
 
     def _requested(self, rollout: RolloutId) -> RolloutRequest | BatchRequest:
         if (damaged := self._restoration.batch(rollout)) is not None:
-            return batch_request(self._template, rollout, self._restoration.starts(damaged), damaged.seeds.tolist())
+            return self._template.batch(rollout, self._restoration.starts(damaged), damaged.seeds.tolist())
         series, plan = self.series[rollout.problem], state.plan_of(self.state, rollout.problem)
         if plan.batch == 1 or rollout in self._restoration:
             fact = series.proposals.get(rollout.test)
@@ -192,7 +192,7 @@ class Ledger:
             tests = replicates = 1
         starts = series.starts(rollout.test, tests)
         seeds = self.batched(rollout.problem).seeds(rollout, tests, replicates)
-        return batch_request(self._template, rollout, starts, seeds)
+        return self._template.batch(rollout, starts, seeds)
 
     def _alone(self, rollout: RolloutId, start: Sequence[float]) -> RolloutRequest:
         original = self.closing.original(rollout)
@@ -208,7 +208,7 @@ class Ledger:
         tests = work.places // replicates
         starts = [self.recorded.start(first._replace(test=first.test + each)) for each in range(tests)]
         seeds = self.batched(first.problem).seeds(first, tests, replicates)
-        return batch_request(self._template, first, starts, seeds)
+        return self._template.batch(first, starts, seeds)
 
     def restores(self, rollout: RolloutId) -> bool:
         """Whether this rollout has been recorded, and only its file is wanted again."""

@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from ...schemas.batch import MOST_NUMBERS
+from ...schemas.distributions import to_digits
 from ...schemas.errors import CampaignError
 from ...schemas.file.config import CampaignConfig
 from ...schemas.file.drawn_claims import SAMPLED, DrawnClaim
@@ -22,7 +23,6 @@ from ...schemas.system import SystemSpec, Variant
 from ..mathematics.bounds.composition import derived_noise_scale
 from ..mathematics.bounds.one_law.risk import least_without_risk, linearised_range
 from ..mathematics.bounds.rounding import round_up
-from ..mathematics.distributions import to_digits
 from ..mathematics.gp.lattice import Lattice
 from ..mathematics.gp.points import Points
 from ..mathematics.sobol import sobol_blocks

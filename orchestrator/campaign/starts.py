@@ -8,11 +8,11 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
+from ...schemas.distributions import to_digits, truncated
 from ...schemas.errors import CampaignError
 from ...schemas.file.parameters import parameter_ranges
 from ...schemas.file.space import Box, Range, StartTable
 from ...schemas.result.facts import Header
-from ..mathematics.distributions import to_digits, truncated
 from ..mathematics.sobol import BLOCK as BLOCK_OF_SOBOL
 from ..mathematics.sobol import sobol_blocks
 from .region import Start, condition

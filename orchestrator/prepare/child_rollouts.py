@@ -10,10 +10,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...schemas.batch import BatchRequest, alone, batch_request
+from ...schemas.batch import BatchRequest, alone
 from ...schemas.errors import PerfboundError, TrajectoryError
 from ...schemas.ids import RolloutId
-from ...schemas.rollout import RequestTemplate, RolloutRequest
+from ...schemas.requests import RequestTemplate
+from ...schemas.rollout import RolloutRequest
 from ...schemas.system import SystemSpec
 from ...schemas.trajectory.trajectory import Trajectory, decode
 from ..fleet.children.child import HangError, ask, system_options
@@ -99,7 +100,7 @@ def trial_batches(template: RequestTemplate, requests: Sequence[RolloutRequest])
     chosen = [alike[number % len(alike)] for number in range(TRIED)]
     seeds = [each.seed ^ (number // len(alike)) for number, each in enumerate(chosen)]
     place = RolloutId(first.problem, 0, first.variant, 0)
-    batch = batch_request(template, place, [each.x for each in chosen], seeds)
+    batch = template.batch(place, [each.x for each in chosen], seeds)
     return [batch, batch]  # the first one compiles
 
 

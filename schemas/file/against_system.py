@@ -2,7 +2,8 @@
 
 from collections.abc import Iterator
 
-from ..errors import CampaignError, meant, nearest_name
+from ..draws import check_law
+from ..errors import CampaignError, DefinitionError, meant, nearest_name
 from ..system import SystemSpec
 from .config import CampaignConfig
 from .drawn_claims import drawn_claims, fewest_samples
@@ -11,6 +12,11 @@ from .parameters import signal_shapes
 from .parts import parts_of
 from .problem_models import KernelProblem, Problem, RigorousProblem
 from .space import Scenarios, StartTable
+
+
+def as_in_campaign(spec: SystemSpec, config: CampaignConfig | None) -> SystemSpec:
+    """Return a system as a campaign knows it: with its knots as parameters, and with the laws of its disturbances."""
+    return spec.spread() if config is None else spec.spread(signal_shapes(config.space), config.disturbances)
 
 
 def check_against(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
@@ -25,7 +31,15 @@ def check_against(config: CampaignConfig, spec: SystemSpec, source: str) -> None
 
 
 def _faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
-    kinds = (_signal_faults, _space_faults, _kernel_faults, _option_faults, _rollout_faults, _nominal_faults)
+    kinds = (
+        _signal_faults,
+        _disturbance_faults,
+        _space_faults,
+        _kernel_faults,
+        _option_faults,
+        _rollout_faults,
+        _nominal_faults,
+    )
     return [fault for faults in kinds for fault in faults(config, spec)]
 
 
@@ -54,8 +68,26 @@ def _signal_faults(config: CampaignConfig, spec: SystemSpec) -> Iterator[str]:
                 "in the system: Parameter(..., signal=True)"
             )
     # The identity of a system does not depend on the knots: those of a stored one must be those of the campaign.
-    if spec.signals and spec != declared.spread(shapes):
+    if spec.signals and spec.signals != declared.spread(shapes).signals:
         yield f"space: its input signals are not those of the stored {spec.name}; restore the database from a copy"
+
+
+def _disturbance_faults(config: CampaignConfig, spec: SystemSpec) -> Iterator[str]:
+    known = {each.name: each for each in spec.declared.disturbances}
+    for name, law in config.disturbances.items():
+        if name not in known:
+            listed = f"{spec.name} has {', '.join(known)}" if known else f"{spec.name} declares none"
+            yield f"disturbances.{name}: unknown disturbance; {meant(name, known)}{listed}"
+        elif law.unit not in ("", known[name].unit):
+            yield f"disturbances.{name}.unit: {law.unit!r} is not allowed: {spec.name} takes {known[name].unit!r}"
+    for law in as_in_campaign(spec.declared, config).disturbances:
+        try:
+            check_law(law)
+        except DefinitionError as error:
+            yield f"disturbances.{error}"
+    # The identity of a system does not depend on other laws: those of a stored one must be those of the campaign.
+    if spec.own_disturbances and spec.disturbances != as_in_campaign(spec.declared, config).disturbances:
+        yield f"disturbances: they are not those of the stored {spec.name}; restore the database from a copy"
 
 
 def _space_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
@@ -114,7 +146,7 @@ def _kernel_faults(config: CampaignConfig, spec: SystemSpec) -> Iterator[str]:
     # Other parameters have lines already, and length scales that follow from them would repeat their names.
     if isinstance(config.space, dict) and config.space.keys() != {each.name for each in spec.declared.parameters}:
         return
-    parameters = spec.spread(signal_shapes(config.space)).parameters
+    parameters = as_in_campaign(spec, config).parameters
     names = {parameter.name for parameter in parameters}
     for where, problem in _having(config, "kernel"):
         lengths = problem.kernel.length_scale if isinstance(problem, KernelProblem) else None

@@ -7,6 +7,7 @@ from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator
 from ..base import Model
 from ..ranges import LARGEST_BATCH
 from .composition import ComposedClaim, Rule, is_composed
+from .disturbance import MAX_DISTURBANCES, Disturbance
 from .drawn_claims import SAMPLED, ClaimRequest, DrawnClaim, drawn_claims
 from .method_spaces import MAX_CANDIDATES, MOST_STARTS, RESOLUTION, fixed_starts
 from .objectives import OBJECTIVES, Sense
@@ -198,6 +199,12 @@ class CampaignKeys(CampaignSize):
         default=20, ge=0, le=10_000, description="recorded rollouts that are simulated again before the certificate"
     )
     system: SystemChoice = Field(description="the system under test")
+    disturbances: dict[str, Disturbance] = Field(
+        default_factory=dict,
+        max_length=MAX_DISTURBANCES,
+        exclude_if=lambda laws: not laws,
+        description="other laws of disturbances that the system declares; of a program, which declares none, all",
+    )
     space: Space = Field(description="D, all starting conditions")
     where: str | None = Field(
         default=None,

@@ -1,6 +1,5 @@
 """The system of a campaign file, and its space: all starting conditions of the claim."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -10,6 +9,7 @@ from ..base import Model
 from ..ranges import SEED_BITS
 from ..system import AfterEnd, OptionValue, Variant
 from ..values import DistributionName, Stamps
+from .distributed import Distributed, described_key
 from .signals import MAX_KNOTS, SignalKind, least_knots
 
 MAX_SCENARIOS = 1000
@@ -81,6 +81,11 @@ class SystemChoice(Model, extra="allow"):
     noisy: bool | tuple[Variant, ...] | None = Field(
         default=None, description="of a program: the rollouts, or those of these variants, depend on the seed"
     )
+    residual: bool | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="of a program with disturbances: whether its rollouts depend on the seed besides; by default true",
+    )
     variants: tuple[Variant, ...] | None = Field(
         default=None, min_length=1, description="of a program: by default `nominal` alone"
     )
@@ -143,6 +148,7 @@ PROGRAM_KEYS = (
     "columns",
     "step",
     "noisy",
+    "residual",
     "variants",
     "samples",
     "seed_bits",
@@ -153,24 +159,7 @@ PROGRAM_KEYS = (
 """Keys of `[system]` that describe a program."""
 
 
-DISTRIBUTIONS: Mapping[DistributionName, tuple[str, ...]] = {
-    "uniform": (),
-    "normal": ("mean", "sd"),
-    "lognormal": ("median", "sigma"),
-    "triangular": ("mode",),
-    "weibull": ("shape", "scale"),
-}
-"""The keys that describe each distribution; all of them are required."""
-POSITIVE: frozenset[DistributionName] = frozenset({"lognormal", "weibull"})
-"""Distributions of positive numbers alone."""
-
-
-def _described(text: str, *, gt: float | None = None) -> Any:
-    # Written only where given: the texts of campaigns without distributions stay what they were, to the byte.
-    return Field(default=None, exclude_if=lambda value: value is None, description=text, gt=gt)
-
-
-class Range(Model):
+class Range(Distributed):
     """All values of one parameter of the starting condition d, and how a drawn start is distributed over them.
 
     The distribution is that of the keys, truncated to [low, high]. With steps, each value has the probability of the
@@ -185,15 +174,7 @@ class Range(Model):
         exclude_if=lambda name: name == "uniform",
         description="of drawn starts, truncated to [low, high]",
     )
-    mean: float | None = _described("of `normal`")
-    sd: float | None = _described("of `normal`: standard deviation", gt=0)
-    median: float | None = _described("of `lognormal`", gt=0)
-    sigma: float | None = _described("of `lognormal`: standard deviation of the natural logarithm, without unit", gt=0)
-    mode: float | None = _described("of `triangular`: the most frequent value; the ends are `low` and `high`")
-    shape: float | None = _described("of `weibull`: k; 1 is exponential, 2 Rayleigh", gt=0)
-    scale: float | None = _described("of `weibull`: the value that 63.2 % do not exceed", gt=0)
-
-    step: float | None = _described("drawn values are `low`, `low` + step, ... `high`; 1 for integers", gt=0)
+    step: float | None = described_key("drawn values are `low`, `low` + step, ... `high`; 1 for integers", gt=0)
     choices: tuple[float, ...] | None = Field(
         default=None,
         exclude_if=lambda value: value is None,
@@ -245,30 +226,6 @@ class Range(Model):
             raise ValueError(f"choices: not allowed beside {other}; remove one of the two")
 
     @model_validator(mode="after")
-    def _distributed(self) -> "Range":
-        wanted = DISTRIBUTIONS[self.distribution]
-        for name, keys in DISTRIBUTIONS.items():
-            for key in keys:
-                if key not in wanted and getattr(self, key) is not None:
-                    raise ValueError(
-                        f"{key}: belongs to distribution {name!r}, and this one is {self.distribution!r}; "
-                        f'remove this key, or give distribution = "{name}"'
-                    )
-        for key in wanted:
-            if getattr(self, key) is None:
-                raise ValueError(f"{key}: required by distribution {self.distribution!r}; give {' and '.join(wanted)}")
-        if self.distribution in POSITIVE and self.low < 0:
-            raise ValueError(
-                f"low: {self.low:g} is not allowed: distribution {self.distribution!r} has positive values alone; give "
-                "a number >= 0"
-            )
-        if self.mode is not None and not self.low <= self.mode <= self.high:
-            raise ValueError(
-                f"mode: {self.mode:g} is not allowed: allowed is a number in [{self.low:g}, {self.high:g}]"
-            )
-        return self
-
-    @model_validator(mode="after")
     def _with_knots(self) -> "Range":
         if self.signal is None and self.knots is not None:
             raise ValueError('knots: needs signal = "pchip", "linear" or "constant"; give one, or remove this key')
@@ -277,11 +234,6 @@ class Range(Model):
                 f"knots: required by signal {self.signal!r}; give a whole number >= {least_knots(self.signal)}"
             )
         return self
-
-    @property
-    def described(self) -> dict[str, float]:
-        """The keys of the distribution with their values."""
-        return {key: getattr(self, key) for key in DISTRIBUTIONS[self.distribution]}
 
     @property
     def steps(self) -> int:

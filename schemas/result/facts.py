@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from .. import __version__
 from ..base import canonical_json, digest
 from ..errors import OtherVersionError, shortened
+from ..file.against_system import as_in_campaign
 from ..file.config import CampaignConfig
 from ..file.objectives import rolled_out
-from ..file.parameters import signal_shapes
 from ..ids import RolloutId
-from ..rollout import RequestTemplate
+from ..requests import RequestTemplate
 from ..system import SystemSpec
 from ..values import Bound, Observation, Proposal, StoppedBy
 
@@ -64,10 +64,11 @@ class Header:
     ) -> "Header":
         """Return the header of a new campaign, with a random run id if none is given.
 
-        The knots of its input signals are parameters of its system.
+        The knots of its input signals are parameters of its system, which has the laws of its disturbances.
         """
-        spread = spec.spread(signal_shapes(config.space))
-        return cls(run or secrets.token_hex(8), config, spread, software, config.digest, spec.digest)
+        return cls(
+            run or secrets.token_hex(8), config, as_in_campaign(spec, config), software, config.digest, spec.digest
+        )
 
     def __repr__(self) -> str:
         """Return campaign, system and seed."""

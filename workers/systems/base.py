@@ -56,6 +56,8 @@ class SystemUnderTest(Protocol):
         The first sample is at 0; the last one at the horizon, or before it by less than a step and by at most a
         fiftieth of the horizon. A trajectory that is shorter is refused.
 
+        A system whose spec has disturbances also takes `disturbances`, the value of each by its name.
+
         Raises:
             SimulationError: `x` or the resulting trajectory is not finite, or an argument is outside the spec.
             Cancelled: raised by `progress`.
@@ -88,7 +90,8 @@ class Vectorised(SystemUnderTest, Protocol):
 
         Return an array (R, T, n), the columns in the order of the spec and the time first, which is the same for all.
         Each rollout is the one that `rollout` gives, bit by bit, but for a system whose spec says `batch_is_the_unit`.
-        One whose numbers are not finite fails alone, and in the latter with its batch.
+        One whose numbers are not finite fails alone, and in the latter with its batch. Of a system with disturbances
+        the value of each is an array (R,).
 
         Raises:
             SimulationError: the batch cannot be simulated.
@@ -126,6 +129,36 @@ def checked_options(
     if unknown := sorted(set(options) - set(known)):
         raise SimulationError(f"{spec.name} has no option {unknown[0]!r}, only {', '.join(known)}")
     return {name: _checked_option(option, options.get(name, option.default)) for name, option in known.items()}
+
+
+def disturbances_of(spec: SystemSpec, values: Sequence[Any] | Floats) -> dict[str, Any]:
+    """Return the disturbances of a request as the keyword argument of a rollout: none for a system without any.
+
+    Raises:
+        SimulationError: there are not as many as the system declares.
+
+    """
+    names = [each.name for each in spec.disturbances]
+    if len(values) != len(names):
+        raise SimulationError(f"{spec.name} has {len(names)} disturbances, not {len(values)}")
+    return {"disturbances": dict(zip(names, values, strict=True))} if names else {}
+
+
+def checked_disturbances(spec: SystemSpec, given: Mapping[str, Any] | None) -> Mapping[str, Any]:
+    """Return the disturbances of a rollout, if they are those of the spec.
+
+    Raises:
+        SimulationError: one is missing or unknown, or a value is not finite.
+
+    """
+    names = [each.name for each in spec.disturbances]
+    if sorted(given or ()) != sorted(names):
+        wanted = ", ".join(names) or "none"
+        raise SimulationError(f"{spec.name} takes the disturbances {wanted}, not {', '.join(given or ()) or 'none'}")
+    for name, value in (given or {}).items():
+        if not np.isfinite(value).all():
+            raise SimulationError(f"{name} = {value} is not a finite number")
+    return given or {}
 
 
 def checked_starts(spec: SystemSpec, starts: Floats) -> None:

@@ -13,6 +13,7 @@ from importlib.metadata import version
 from typing import Any, Literal, get_args, get_origin
 
 from ...schemas.errors import DefinitionError
+from ...schemas.file.disturbance import Disturbance
 from ...schemas.file.space import SystemChoice
 from ...schemas.ranges import SEED_BITS
 from ...schemas.system import AfterEnd, Option, Parameter, SystemSpec, Variant, timed_columns
@@ -31,6 +32,8 @@ def system(
     *,
     parameters: Mapping[str, Parameter],
     columns: Mapping[str, str],
+    disturbances: Mapping[str, Disturbance] | None = None,
+    residual: bool | None = None,
     step: float | None = None,
     noisy: Collection[Variant] | None = None,
     name: str | None = None,
@@ -48,12 +51,16 @@ def system(
 
     `parameters` has the range and the unit of every positional argument, `columns` the units of what is returned; with
     `step`, in seconds, the time of a sample follows from its number, else it is the column `t`. `noisy` names the
-    variants that depend on the seed, by default all of a function that takes one. Seeds are below 2^`seed_bits`, which
-    is 31 to 53: 32 for Gymnasium and for libraries in C. The name is that of the function. A file of more than
-    ten times `trajectory_bytes` is a failed rollout. `files` are those that a rollout reads, such as an FMU or weights:
-    files, folders and patterns, relative to the file of the function; a changed one is another system. `stamps` says of
-    what kind the returned times are. With `after_end` a rollout may end before the horizon: "hold" holds its last
-    state, "fail" counts it as a violation besides; trajectories then have a last column, `ended`.
+    variants that depend on chance, by default all of a function that takes a seed or has disturbances. Seeds are below
+    2^`seed_bits`, which is 31 to 53: 32 for Gymnasium and for libraries in C. The name is that of the function. A file
+    of more than ten times `trajectory_bytes` is a failed rollout. `files` are those that a rollout reads, such as an
+    FMU or weights: files, folders and patterns, relative to the file of the function; a changed one is another system.
+    `stamps` says of what kind the returned times are. With `after_end` a rollout may end before the horizon: "hold"
+    holds its last state, "fail" counts it as a violation besides; trajectories then have a last column, `ended`.
+
+    `disturbances` are named random numbers with their laws, such as `{"gust": Normal(0, 2, unit="m/s")}`: keyword-only
+    arguments of the function, which the campaign draws. `residual` says whether anything else is random, by default
+    where the function also takes a seed.
 
     The function returns one array (T,) for each column, one array (T, n), or a dict of arrays; a number for each column
     is one sample at time 0.
@@ -87,16 +94,17 @@ def system(
                 "give both the same names in the same order, and put everything else behind a `*`"
             )
         keywords = [each for each in signature if each.kind is each.KEYWORD_ONLY]
-        taken, seed = passed(vectorised), "seeds" if vectorised else "seed"
+        laws = _laws_of(disturbances or {}, keywords, place)
+        taken, seed = (*passed(vectorised), *laws), "seeds" if vectorised else "seed"
         named = [each.name for each in keywords if each.name in taken]
         options = tuple(_option_of(each, place, taken) for each in keywords if each.name not in taken)
         variants = BOTH if "variant" in named else SINGLE
-        found = noisy if noisy is not None else (variants if seed in named else ())
+        found = noisy if noisy is not None else (variants if seed in named or laws else ())
         if unknown := set(found) - set(variants):
             raise DefinitionError(
                 f"{place}: noisy: it has no variant {sorted(unknown)[0]!r}, only {', '.join(variants)}"
             )
-        if found and seed not in named:
+        if found and seed not in named and not laws:
             raise DefinitionError(
                 f"{place}: noisy: a function that depends on chance takes its `{seed}` as an argument"
             )
@@ -124,6 +132,8 @@ def system(
                 seed_bits=seed_bits,
                 trajectory_bytes=trajectory_bytes,
                 stamps=stamps,
+                disturbances=tuple(each.named(key, each.unit) for key, each in laws.items()),
+                residual=not laws or (seed in named if residual is None else residual),
                 after_end=after_end,
                 vectorised=vectorised,
                 batch_is_the_unit=batch_is_the_unit,
@@ -133,6 +143,25 @@ def system(
         return (VectorisedSystem if vectorised else FunctionSystem)(function, spec, step, keywords, files)
 
     return decorate
+
+
+def _laws_of(
+    given: Mapping[str, Disturbance], keywords: Sequence[inspect.Parameter], place: str
+) -> Mapping[str, Disturbance]:
+    """Return the disturbances, if they are keyword-only arguments of the function without defaults."""
+    named = {each.name: each for each in keywords}
+    for name, law in given.items():
+        if not isinstance(law, Disturbance):
+            raise DefinitionError(f"{place}: disturbances: {name}: {law!r} is no law; write pb.Normal(0, 1)")
+        if not NAME.fullmatch(name):
+            raise DefinitionError(
+                f"{place}: disturbances: {name!r}: a name consists of a-z, 0-9 and _, the first is a letter"
+            )
+        if name not in named or named[name].default is not inspect.Parameter.empty:
+            raise DefinitionError(
+                f"{place}: disturbances: the function takes no argument {name}; name it behind the *, without default"
+            )
+    return given
 
 
 def _signature(function: Callable[..., Any], place: str) -> list[inspect.Parameter]:

@@ -13,7 +13,7 @@ from ...schemas.errors import SimulationError, shortened
 from ...schemas.real_numbers import real_array
 from ...schemas.system import OptionValue, SystemSpec, Variant
 from ...schemas.trajectory.trajectory import Trajectory, Visual
-from .base import Progress, SystemUnderTest, checked_options
+from .base import Progress, SystemUnderTest, checked_disturbances, checked_options
 from .life import signs_of_life
 from .place import Worker
 
@@ -38,7 +38,8 @@ class FunctionSystem(SystemUnderTest):
     ) -> None:
         functools.update_wrapper(self, function)
         self._function, self._spec, self._step = function, spec, step
-        self._passed = tuple(each.name for each in keywords if each.name in passed(spec.vectorised))
+        taken = {*passed(spec.vectorised), *(each.name for each in spec.disturbances)}
+        self._passed = tuple(each.name for each in keywords if each.name in taken)
         self._instance: Callable[..., Any] | None = None if inspect.isclass(function) else function
         self.files = files
         self._whole = {each.name for each in keywords if isinstance(each.default, int)}
@@ -66,6 +67,7 @@ class FunctionSystem(SystemUnderTest):
         horizon: float,
         options: Mapping[str, OptionValue],
         progress: Progress,
+        disturbances: Mapping[str, float] | None = None,
     ) -> Trajectory:
         """Call the function at `x`, and make a trajectory of what it returns.
 
@@ -75,7 +77,9 @@ class FunctionSystem(SystemUnderTest):
 
         """
         chosen = checked_options(self._spec, x, variant=variant, horizon=horizon, options=options)
-        returned = self._called(x, {"seed": seed, "horizon": horizon, "variant": variant}, chosen, progress)
+        drawn = checked_disturbances(self._spec, disturbances)
+        given = {"seed": seed, "horizon": horizon, "variant": variant, **drawn}
+        returned = self._called(x, given, chosen, progress)
         return as_trajectory(returned, self._spec.own_columns, self._step)
 
     def _called(

@@ -31,7 +31,7 @@ from ...schemas.real_numbers import real_array
 from ...schemas.system import Option, OptionValue, Parameter, SystemSpec, Variant, timed_columns
 from ...schemas.trajectory.input_signal import InputSignal
 from ...schemas.trajectory.trajectory import Trajectory, Visual
-from .base import Progress, SystemUnderTest, checked_options
+from .base import Progress, SystemUnderTest, checked_disturbances, checked_options
 from .declared import NO_FILES, DeclaredFiles, declared_files
 from .place import Worker
 from .running import Command, EndedError, RunningProgram
@@ -81,6 +81,7 @@ class ProgramSystem(SystemUnderTest):
         horizon: float,
         options: Mapping[str, OptionValue],
         progress: Progress,
+        disturbances: Mapping[str, float] | None = None,
     ) -> Trajectory:
         """Have the program simulate, and read its samples.
 
@@ -109,6 +110,8 @@ class ProgramSystem(SystemUnderTest):
             # Samples in a file: it needs no framing, every language writes one, and its size is checked first.
             "path": str(path),
         }
+        if drawn := checked_disturbances(self._spec, disturbances):
+            line["disturbances"] = drawn
         ticks = iter(range(1, 2**62))
         try:
             answer = self._answer(json.dumps(line).encode(), lambda: progress(next(ticks)))
@@ -305,7 +308,9 @@ def load_program(file: Path, config: CampaignConfig) -> ProgramSystem:
     except DefinitionError as error:
         raise DefinitionError(f"{file}: system.{error}") from None
     variants: tuple[Variant, ...] = choice.variants or ("nominal",)
-    noisy = (variants if choice.noisy else ()) if isinstance(choice.noisy, bool | None) else choice.noisy
+    laws = tuple(law.named(name, law.unit) for name, law in config.disturbances.items())
+    chance = bool(laws) if choice.noisy is None else choice.noisy
+    noisy = (variants if chance else ()) if isinstance(chance, bool) else chance
     try:
         spec = SystemSpec(
             name=_name(next(reversed(named))),
@@ -317,6 +322,8 @@ def load_program(file: Path, config: CampaignConfig) -> ProgramSystem:
             noisy=tuple(each for each in variants if each in noisy),
             max_horizon=MAX_HORIZON,
             default_horizon=config.horizon,
+            disturbances=laws,
+            residual=choice.residual is not False,
             seed_bits=choice.seed_bits or SEED_BITS,
             code=files.digests,
             stamps=choice.stamps or "exact",

@@ -16,7 +16,7 @@ from ...schemas.errors import SimulationError
 from ...schemas.real_numbers import real_array
 from ...schemas.system import OptionValue, Variant
 from ...schemas.trajectory.trajectory import Trajectory
-from .base import Floats, Progress, Seeds, checked_options, checked_starts
+from .base import Floats, Progress, Seeds, checked_disturbances, checked_options, checked_starts
 from .function import FunctionSystem, listed_names
 
 
@@ -36,6 +36,7 @@ class VectorisedSystem(FunctionSystem):
         horizon: float,
         options: Mapping[str, OptionValue],
         progress: Progress,
+        disturbances: Mapping[str, float] | None = None,
     ) -> Trajectory:
         """Call the function for one rollout; raises as that of every function."""
         found = self.rollouts(
@@ -45,6 +46,7 @@ class VectorisedSystem(FunctionSystem):
             horizon=horizon,
             options=options,
             progress=progress,
+            disturbances={name: np.array([value]) for name, value in (disturbances or {}).items()},
         )
         try:
             return Trajectory(self.spec.own_columns, found[0])
@@ -60,6 +62,7 @@ class VectorisedSystem(FunctionSystem):
         horizon: float,
         options: Mapping[str, OptionValue],
         progress: Progress,
+        disturbances: Mapping[str, Floats] | None = None,
     ) -> Floats:
         """Call the function for all starts (R, p), and return its trajectories as one array (R, T, n).
 
@@ -71,8 +74,9 @@ class VectorisedSystem(FunctionSystem):
         spec = self.spec
         chosen = checked_options(spec, starts[0].tolist(), variant=variant, horizon=horizon, options=options)
         checked_starts(spec, starts)
-        given = {"seeds": seeds, "horizon": horizon, "variant": variant}
         # Arrays of its own: a function may change them.
+        drawn = {name: values.copy() for name, values in checked_disturbances(spec, disturbances).items()}
+        given = {"seeds": seeds, "horizon": horizon, "variant": variant, **drawn}
         returned = self._called([starts[:, k].copy() for k in range(starts.shape[1])], given, chosen, progress)
         return as_batch(returned, spec.own_columns, self.step, len(starts))
 

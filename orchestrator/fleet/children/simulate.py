@@ -8,11 +8,12 @@ from pathlib import Path
 
 from ....schemas.batch import BatchRequest, alone
 from ....schemas.errors import PerfboundError, Stopped, meant
+from ....schemas.file.against_system import as_in_campaign
 from ....schemas.file.config import CampaignConfig
-from ....schemas.file.parameters import signal_shapes
 from ....schemas.ids import RolloutId
 from ....schemas.number_text import number_in
-from ....schemas.rollout import RequestTemplate, RolloutRequest
+from ....schemas.requests import RequestTemplate
+from ....schemas.rollout import RolloutRequest
 from ....schemas.system import OptionValue, SystemSpec, Variant
 from ....schemas.trajectory.trajectory import Trajectory, encode
 from .child import HangError, ask, installed_systems, named_campaign, system_options, system_spec
@@ -47,7 +48,7 @@ class WantedRollout:
 
         """
         config = named_campaign(self.system)
-        spec = system_spec(self.system, "SYSTEM").spread(() if config is None else signal_shapes(config.space))
+        spec = as_in_campaign(system_spec(self.system, "SYSTEM"), config)
         horizon = chosen_horizon(spec, config.horizon if config and self.horizon is None else self.horizon)
         if self.seed >= 2**spec.seed_bits:
             limit = 2**spec.seed_bits - 1

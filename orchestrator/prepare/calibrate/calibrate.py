@@ -7,10 +7,10 @@ from typing import Any
 
 from ....schemas.amounts import amount
 from ....schemas.errors import PerfboundError, Stopped
+from ....schemas.file.against_system import as_in_campaign
 from ....schemas.file.config import CampaignConfig
 from ....schemas.file.draft import Draft, load_draft
 from ....schemas.file.objectives import OBJECTIVES, rolled_out
-from ....schemas.file.parameters import signal_shapes
 from ....schemas.file.problem_models import KrigingProblem
 from ....schemas.file.reader import parse_campaign
 from ....schemas.system import SystemSpec
@@ -85,7 +85,7 @@ def calibrate_draft(wish: CalibrationWish, report: Report) -> Calibration:
     draft = load_draft(wish.campaign)
     config = draft.config
     reference = config.system.reference(wish.campaign)
-    spec = system_spec(reference, f"{source}: system.name").spread(signal_shapes(config.space))
+    spec = as_in_campaign(system_spec(reference, f"{source}: system.name"), config)
     (check if draft.clip is None else check_new)(config, spec, source)
     check_sizes(config, source)
     check_effort(wish.rollouts, spec)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ....schemas.distributions import to_digits
 from ....schemas.errors import CampaignError
 from ....schemas.file.config import CampaignConfig
 from ....schemas.file.parameters import parameter_ranges
@@ -17,7 +18,6 @@ from ...campaign.starts import DIGITS
 from ...mathematics.calibration.noise import NOISIEST
 from ...mathematics.calibration.steepness import PLACES
 from ...mathematics.calibration.trust import DOUBTED
-from ...mathematics.distributions import to_digits
 from ...mathematics.gp.kernels import Floats
 from ...mathematics.sobol import sobol_blocks
 

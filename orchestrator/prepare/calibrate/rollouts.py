@@ -14,7 +14,8 @@ from ....schemas.errors import TrajectoryError
 from ....schemas.file.config import CampaignConfig
 from ....schemas.file.draft import CLIP
 from ....schemas.ids import RolloutId
-from ....schemas.rollout import RequestTemplate, RolloutRequest
+from ....schemas.requests import RequestTemplate
+from ....schemas.rollout import RolloutRequest
 from ....schemas.system import Variant
 from ....schemas.trajectory.trajectory import Trajectory
 from ...campaign import plan as plans

@@ -16,8 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ....schemas.errors import PerfboundError, Stopped, TrajectoryError
-from ....schemas.file.against_system import check_against
-from ....schemas.file.parameters import signal_shapes
+from ....schemas.file.against_system import as_in_campaign, check_against
 from ....schemas.rollout import RolloutRequest
 from ....schemas.system import SystemSpec, Variant
 from ....schemas.system_check import ChildRun, Trial
@@ -81,7 +80,7 @@ def checked_system(
 
     """
     config = named_campaign(reference)
-    spec = system_spec(reference, "SYSTEM").spread(() if config is None else signal_shapes(config.space))
+    spec = as_in_campaign(system_spec(reference, "SYSTEM"), config)
     if config is not None:
         check_against(config, spec, reference)
         if isinstance(config.space, dict) and config.where is not None:

@@ -7,12 +7,12 @@ from functools import cached_property
 
 import numpy as np
 
-from ....schemas.batch import batch_request
 from ....schemas.file.parameters import parameter_ranges
 from ....schemas.file.space import Space
 from ....schemas.ids import RolloutId
 from ....schemas.instants import SAMPLES
-from ....schemas.rollout import RequestTemplate, RolloutRequest
+from ....schemas.requests import RequestTemplate
+from ....schemas.rollout import RolloutRequest
 from ....schemas.system import OptionValue, Parameter, SystemSpec, Variant
 from ....schemas.system_check import ChildRun, Trial
 from ...campaign.region import Condition, condition
@@ -140,7 +140,7 @@ class Trials:
         requests = [trial.request for trial in self._others() if trial.request.variant == variant][-count:]
         first = RolloutId(BATCH, 0, variant, 0)
         starts, seeds = [each.x for each in requests], [each.seed for each in requests]
-        batch = batch_request(self.template, first, starts, seeds)
+        batch = self.template.batch(first, starts, seeds)
         return Trial(request=batch.single(0), batch=batch)
 
     def few(self) -> tuple[Trial, ...]:

@@ -10,10 +10,10 @@ import numpy as np
 
 from ....schemas import atomic
 from ....schemas.errors import PerfboundError, Stopped, one_line
+from ....schemas.file.against_system import as_in_campaign
 from ....schemas.file.draft import parse_draft
 from ....schemas.file.method_spaces import FIXED_STARTS, LATTICE_PARAMETERS
 from ....schemas.file.objectives import OBJECTIVES, ProblemName, rolled_out
-from ....schemas.file.parameters import signal_shapes
 from ....schemas.file.reader import parse_campaign
 from ....schemas.file.space import SystemChoice
 from ....schemas.system import SystemSpec, Variant
@@ -82,7 +82,7 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
         _check_unwritten(wish.out)
     question = QUESTIONS[wish.question]
     known = named_campaign(wish.reference)
-    spec = system_spec(wish.reference, "SYSTEM").spread(() if known is None else signal_shapes(known.space))
+    spec = as_in_campaign(system_spec(wish.reference, "SYSTEM"), known)
     if wish.specification is None and known is not None and known.specification:
         wish = replace(wish, specification=known.specification)
     folder = Path(wish.reference).parent if known else Path()

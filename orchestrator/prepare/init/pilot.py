@@ -9,7 +9,8 @@ import numpy as np
 
 from ....schemas.errors import PerfboundError, Stopped, TrajectoryError
 from ....schemas.ids import RolloutId
-from ....schemas.rollout import RequestTemplate, RolloutRequest
+from ....schemas.requests import RequestTemplate
+from ....schemas.rollout import RolloutRequest
 from ....schemas.system import OptionValue, SystemSpec, Variant
 from ....schemas.trajectory.trajectory import Floats, Trajectory
 from ...campaign.admission import check_whole

@@ -22,7 +22,7 @@ from perfbound.schemas.errors import CampaignError, EvidenceError
 from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.file.reader import parse_campaign
 from perfbound.schemas.ids import RolloutId
-from perfbound.schemas.rollout import RequestTemplate
+from perfbound.schemas.requests import RequestTemplate
 from perfbound.schemas.system import SystemSpec
 from perfbound.schemas.trajectory.trajectory import Trajectory, encode
 from perfbound.workers.systems.test_function import TestFunctionSystem

@@ -9,7 +9,7 @@ import pytest
 from perfbound.schemas.errors import DefinitionError, PerfboundError, ReplacedError
 from perfbound.schemas.failure import Failure
 from perfbound.schemas.ids import RolloutId
-from perfbound.schemas.rollout import RequestTemplate
+from perfbound.schemas.requests import RequestTemplate
 from perfbound.schemas.system import SystemSpec
 from perfbound.workers import systems
 from perfbound.workers.simulate import run_request

@@ -15,7 +15,7 @@ import perfbound as pb
 from perfbound.schemas.errors import DefinitionError, SimulationError, UnknownSystemError
 from perfbound.schemas.file.signals import SignalShape
 from perfbound.schemas.ids import RolloutId
-from perfbound.schemas.rollout import RequestTemplate
+from perfbound.schemas.requests import RequestTemplate
 from perfbound.schemas.system import ASSUMED_HORIZON
 from perfbound.schemas.trajectory.trajectory import read_canonical, read_mcap
 from perfbound.workers import simulate, systems

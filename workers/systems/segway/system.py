@@ -5,12 +5,11 @@ from collections.abc import Mapping, Sequence
 from functools import cached_property
 from importlib.metadata import version
 
-import numpy as np
-
 from ....schemas.errors import SimulationError
+from ....schemas.file.disturbance import Normal
 from ....schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, Variant
 from ....schemas.trajectory.trajectory import Trajectory, Visual
-from ..base import Progress, SystemUnderTest, checked_options
+from ..base import Progress, SystemUnderTest, checked_disturbances, checked_options
 from .bullet import CONTROL_RATE, StartPose, World, providers
 from .controller import GAINS
 from .visual import visual
@@ -27,24 +26,18 @@ UNITS = {
     "voltage_left": "V",
     "voltage_right": "V",
 }
-OPTIONS = (
-    Option(name="gains", default="paper", choices=tuple(GAINS), doc="tuning of the controller"),
-    Option(
-        name="noise_variance",
-        default=0.05,
-        low=0.0,
-        high=1.0,
-        unit="m^2 and rad^2",
-        doc="variance of the zero-mean Gaussian noise that the variant true adds to x and y (m^2), heading and phi "
-        "(rad^2) of the start, independently",
-    ),
+OPTIONS = (Option(name="gains", default="paper", choices=tuple(GAINS), doc="tuning of the controller"),)
+DISTURBANCES = tuple(
+    Normal(0.0, math.sqrt(0.05), unit=unit).named(f"{name}_error", unit)
+    for name, unit in (("x", "m"), ("y", "m"), ("heading", "rad"), ("phi", "rad"))
 )
+"""What the variant `true` adds to the start; the variance is that of [ARA]."""
 
 
 class SegwaySystem(SystemUnderTest):
     """A Segway that starts at (x, y) at rest, upright, with heading 0, and drives to the goal (2.5, 2.5).
 
-    `nominal` starts exactly there, `true` with Gaussian noise on x, y, heading and phi. A Segway has fallen at
+    `nominal` starts exactly there, `true` with normal errors of x, y, heading and phi. A Segway has fallen at
     |phi| > 1 rad; its last state is held from then on.
     """
 
@@ -65,6 +58,8 @@ class SegwaySystem(SystemUnderTest):
             parameters=tuple(Parameter(name=name, unit="m", low=-20.0, high=25.0) for name in ("x", "y")),
             columns=tuple(Column(name=name, unit=unit) for name, unit in UNITS.items()),
             options=OPTIONS,
+            disturbances=DISTURBANCES,
+            residual=False,
             max_horizon=120.0,
             default_horizon=15.0,
             versions={"numpy": version("numpy"), **providers()},
@@ -75,10 +70,11 @@ class SegwaySystem(SystemUnderTest):
         x: Sequence[float],
         *,
         variant: Variant,
-        seed: int,
+        seed: int,  # noqa: ARG002  (its disturbances are all that is random)
         horizon: float,
         options: Mapping[str, OptionValue],
         progress: Progress,
+        disturbances: Mapping[str, float] | None = None,
     ) -> Trajectory:
         """Simulate `horizon` seconds, rounded to control steps of 1/120 s, from the starting condition (x, y) in m.
 
@@ -88,9 +84,8 @@ class SegwaySystem(SystemUnderTest):
 
         """
         chosen = checked_options(self.spec, x, variant=variant, horizon=horizon, options=options)
-        start = StartPose(*x)
-        if variant == "true":
-            start = _disturbed(start, math.sqrt(float(chosen["noise_variance"])), seed)
+        errors = checked_disturbances(self.spec, disturbances)
+        start = StartPose(*(value + errors[each.name] for value, each in zip(StartPose(*x), DISTURBANCES, strict=True)))
         if self._world is None:
             self._world = World()
         steps, gains = round(CONTROL_RATE * horizon), GAINS[str(chosen["gains"])]
@@ -103,8 +98,3 @@ class SegwaySystem(SystemUnderTest):
     def visual(self, trajectory: Trajectory) -> Visual:
         """Return the ground, the goal and the moving Segway."""
         return visual(trajectory)
-
-
-def _disturbed(start: StartPose, sd: float, seed: int) -> StartPose:
-    noise = np.random.default_rng(seed).normal(0.0, sd, len(start))
-    return StartPose(*(value + float(error) for value, error in zip(start, noise, strict=True)))

@@ -35,7 +35,7 @@ from perfbound.schemas.link.messages import (
     encode_message,
 )
 from perfbound.schemas.link.seal import Sealer, Stream, StreamName
-from perfbound.schemas.rollout import RequestTemplate
+from perfbound.schemas.requests import RequestTemplate
 from perfbound.schemas.trajectory.trajectory import read_mcap
 from perfbound.workers.simulate import run_request
 from perfbound.workers.systems import load_system

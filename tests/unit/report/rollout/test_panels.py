@@ -8,7 +8,7 @@ from PIL import Image
 
 from perfbound.orchestrator.report.rollout.panels import MOST, drawn_rollout
 from perfbound.schemas.ids import RolloutId
-from perfbound.schemas.rollout import RequestTemplate
+from perfbound.schemas.requests import RequestTemplate
 from perfbound.schemas.system import Column, Parameter, SystemSpec
 from perfbound.schemas.trajectory.trajectory import Trajectory
 

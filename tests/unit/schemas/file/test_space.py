@@ -14,11 +14,11 @@ from perfbound.library.campaign import toml
 from perfbound.schemas.errors import CampaignError
 from perfbound.schemas.file.against_system import check_against
 from perfbound.schemas.file.defaults import file_schema
+from perfbound.schemas.file.distributed import DISTRIBUTIONS
 from perfbound.schemas.file.method_spaces import NEEDED, SPACES
 from perfbound.schemas.file.problem_models import PROBLEM_MODELS
 from perfbound.schemas.file.reader import load_campaign, parse_campaign
 from perfbound.schemas.file.space import (
-    DISTRIBUTIONS,
     MAX_TABLE,
     Range,
     Space,

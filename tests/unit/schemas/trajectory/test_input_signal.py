@@ -13,7 +13,8 @@ from pydantic import ValidationError
 from perfbound.schemas.errors import SimulationError
 from perfbound.schemas.file.signals import SignalKind, SignalShape
 from perfbound.schemas.ids import RolloutId
-from perfbound.schemas.rollout import RequestTemplate, RolloutRequest
+from perfbound.schemas.requests import RequestTemplate
+from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.system import Column, Parameter, SystemSpec
 from perfbound.schemas.trajectory.input_signal import InputSignal, start_values
 

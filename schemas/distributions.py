@@ -16,7 +16,7 @@ from typing import Any, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from ...schemas.values import DistributionName
+from .values import DistributionName
 
 Floats = NDArray[np.float64]
 Inverse = Callable[[Floats], Floats]
@@ -25,11 +25,18 @@ LEAST = 1e-9
 
 
 def truncated(
-    name: DistributionName, keys: Mapping[str, float], low: float, high: float, *, beyond: float = 0.0
+    name: DistributionName,
+    keys: Mapping[str, float],
+    low: float,
+    high: float,
+    *,
+    beyond: float = 0.0,
+    before: Any | None = None,
 ) -> Inverse:
     """Return the inverse of the distribution `name` with its `keys`, truncated to [low, high]: shares (n,) to values.
 
-    With `beyond` the range of the truncation, not the distribution, is longer by so much at both ends.
+    With `beyond` the range of the truncation, not the distribution, is longer by so much at both ends. `before` is a
+    frozen distribution of scipy in place of `name` and `keys`.
 
     Raises:
         ValueError: less than `LEAST` of the distribution is in the range.
@@ -38,7 +45,7 @@ def truncated(
     [0.0, 2.5, 5.0]
 
     """
-    before = _before(name, keys, low, high)
+    before = before or _before(name, keys, low, high)
     low, high = low - beyond, high + beyond
     if before is None:
         # Basic arithmetic alone: equal on all machines.

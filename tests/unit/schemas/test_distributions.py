@@ -9,8 +9,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy import stats
 
-from perfbound.orchestrator.mathematics.distributions import LEAST, to_digits, truncated
-from perfbound.schemas.file.space import DISTRIBUTIONS
+from perfbound.schemas.distributions import LEAST, to_digits, truncated
+from perfbound.schemas.file.distributed import DISTRIBUTIONS
 from perfbound.schemas.values import DistributionName
 
 LAWS: list[tuple[DistributionName, dict[str, float], float, float, Any]] = [

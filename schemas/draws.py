@@ -1,0 +1,125 @@
+"""The values of disturbances, drawn from the seeds of rollouts: the inverse transform of counter-based numbers.
+
+| symbol | name     | meaning                                                          | shape  | unit             |
+|--------|----------|------------------------------------------------------------------|--------|------------------|
+| R      |          | rollouts                                                         | ()     | -                |
+| k      |          | disturbances                                                     | ()     | -                |
+| u      | `shares` | independent uniform numbers in (0, 1), from seed and place alone | (R, k) | -                |
+| w      |          | F^-1(u), F the law of each                                       | (R, k) | of a disturbance |
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .counter import open_shares
+from .distributions import to_digits, truncated
+from .errors import DefinitionError
+from .file.disturbance import Disturbance
+from .ranges import LARGEST_NUMBER
+
+Floats = NDArray[np.float64]
+Inverse = Callable[[Floats], Floats]
+DIGITS = 9
+"""Significant digits of a drawn value: its last bits may differ between machines, and requests should not."""
+
+
+class Laws:
+    """The values of the disturbances of one system.
+
+    >>> from perfbound.schemas.file.disturbance import Choice, Uniform
+    >>> Laws([Uniform(0, 1), Choice([5, 6])]).values([7, 8]).tolist()
+    [[0.444990066, 5.0], [0.443466848, 6.0]]
+
+    """
+
+    def __init__(self, laws: Sequence[Disturbance]) -> None:
+        self._inverses = [inverse(law) for law in laws]
+
+    def values(self, seeds: ArrayLike) -> Floats:
+        """Return the values (R, k) for rollouts with these seeds (R,): row r follows from its seed alone."""
+        shares = open_shares(seeds, len(self._inverses))
+        return np.column_stack([of(shares[:, k].copy()) for k, of in enumerate(self._inverses)])
+
+    @cached_property
+    def middles(self) -> tuple[float, ...]:
+        """The median of each: its value in variants without noise."""
+        return tuple(float(of(np.array([0.5]))[0]) for of in self._inverses)
+
+
+def check_law(law: Disturbance) -> None:
+    """Refuse a law that has no values.
+
+    Raises:
+        DefinitionError: scipy has no such continuous distribution, does not take these numbers, or almost nothing of
+            the law is between `low` and `high`.
+
+    """
+    try:
+        found = Laws([law]).middles[0]
+    except ValueError as error:
+        raise DefinitionError(f"{law.name}: {error}") from None
+    if not abs(found) <= LARGEST_NUMBER:
+        raise DefinitionError(f"{law.name}: {law.words}: its median is {found}; fix its numbers")
+
+
+def inverse(law: Disturbance) -> Inverse:
+    """Return the inverse of the distribution function of a law: shares (n,) to values.
+
+    Raises:
+        ValueError: as `check_law`.
+
+    """
+    if law.choices is not None:
+        return _chosen(law.choices, law.probabilities or (1.0 / len(law.choices),) * len(law.choices))
+    low, high = (end if end is not None else sign * math.inf for end, sign in ((law.low, -1), (law.high, 1)))
+    exact = _unbounded(law) if (low, high) == (-math.inf, math.inf) else _truncated(law, low, high)
+
+    def rounded(shares: Floats) -> Floats:
+        values = np.clip(exact(shares), -LARGEST_NUMBER, LARGEST_NUMBER)
+        return np.array(to_digits(values, low, high, DIGITS))
+
+    return rounded
+
+
+def _unbounded(law: Disturbance) -> Inverse:
+    from scipy.special import ndtri  # noqa: PLC0415  (a tenth of a second that few commands need)
+
+    if law.distribution == "normal" and law.scipy is None:
+        mean, sd = law.described["mean"], law.described["sd"]
+        return lambda shares: mean + sd * ndtri(shares)
+    if law.distribution == "lognormal" and law.scipy is None:
+        median, sigma = law.described["median"], law.described["sigma"]
+        return lambda shares: median * np.exp(sigma * ndtri(shares))
+    return _truncated(law, -math.inf, math.inf)
+
+
+def _truncated(law: Disturbance, low: float, high: float) -> Inverse:
+    return truncated(law.distribution, law.described, low, high, before=_of_scipy(law) if law.scipy else None)
+
+
+def _of_scipy(law: Disturbance) -> Any:
+    from scipy import stats  # noqa: PLC0415  (a second of start-up that few commands need)
+
+    assert law.scipy is not None, "of a law by its name"
+    family = getattr(stats, law.scipy, None)
+    if not isinstance(family, stats.rv_continuous):
+        raise ValueError(f'scipy: {law.scipy!r} is no continuous distribution of scipy.stats, such as "gumbel_r"')
+    try:
+        found = family(**law.numbers)
+    except TypeError:
+        named = ", ".join([*(family.shapes or "").split(", "), "loc", "scale"]).removeprefix(", ")
+        raise ValueError(f"scipy: {law.scipy} takes {named}, not {', '.join(law.numbers) or 'no numbers'}") from None
+    if not math.isfinite(found.ppf(0.5)):
+        raise ValueError(f"scipy: {law.scipy} takes no such numbers: {law.numbers}; see its parameters")
+    return found
+
+
+def _chosen(choices: Sequence[float], probabilities: Sequence[float]) -> Inverse:
+    values, ends = np.array(choices), np.cumsum(probabilities)
+    ends[-1] = 1.0
+    return lambda shares: values[np.searchsorted(ends, shares, side="right")]
