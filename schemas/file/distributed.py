@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from ..base import Model
 from ..values import DistributionName
@@ -41,8 +41,8 @@ class Distributed(Model):
     shape: float | None = described_key("of `weibull`: k; 1 is exponential, 2 Rayleigh", gt=0)
     scale: float | None = described_key("of `weibull`: the value that 63.2 % do not exceed", gt=0)
 
-    @model_validator(mode="after")
-    def _distributed(self) -> "Distributed":
+    def check_distribution(self) -> None:
+        """Refuse keys that do not belong to the distribution, and the lack of those that do; raises ValueError."""
         wanted = DISTRIBUTIONS[self.distribution]
         for name, keys in DISTRIBUTIONS.items():
             for key in keys:
@@ -68,7 +68,6 @@ class Distributed(Model):
             raise ValueError(
                 f"mode: {self.mode:g} is not allowed: allowed is a number in [{self.low:g}, {self.high:g}]"
             )
-        return self
 
     @property
     def described(self) -> dict[str, float]:

@@ -47,6 +47,7 @@ class Disturbance(Distributed, metaclass=Written):
 
     @model_validator(mode="after")
     def _one_law(self) -> "Disturbance":
+        self.check_distribution()
         given = [key for key, is_given in self._forms.items() if is_given]
         if len(given) > 1:
             raise ValueError(f"{given[1]}: not together with {given[0]}; remove one of the two")

@@ -226,6 +226,11 @@ class Range(Distributed):
             raise ValueError(f"choices: not allowed beside {other}; remove one of the two")
 
     @model_validator(mode="after")
+    def _distributed(self) -> "Range":
+        self.check_distribution()
+        return self
+
+    @model_validator(mode="after")
     def _with_knots(self) -> "Range":
         if self.signal is None and self.knots is not None:
             raise ValueError('knots: needs signal = "pchip", "linear" or "constant"; give one, or remove this key')

@@ -20,6 +20,7 @@ from perfbound.schemas.platforms import class_name, cpu
 from perfbound.schemas.trajectory.trajectory import Trajectory, encode
 from perfbound.workers.systems.base import SystemUnderTest
 from perfbound.workers.systems.segway.bullet import providers
+from tests.fakes.segway import STILL, errors
 
 FILE = Path(__file__).with_name("segway.json")
 PLATFORMS = Path(__file__).with_name("platforms")
@@ -29,7 +30,7 @@ TOLERANCE = 1e-9
 
 Numbers = dict[str, Any]
 Rollout = dict[str, Any]
-"""The arguments of `SystemUnderTest.rollout` without `progress`."""
+"""Start, variant, horizon and options; of the variant `true` the seed and the variance of its errors, too."""
 
 
 def _rollout(x: float, y: float, *, horizon: float = 15.0, seed: int | None = None, **options: Any) -> Rollout:
@@ -59,7 +60,7 @@ ROLLOUTS: dict[str, Rollout] = {
 
 def record(system: SystemUnderTest, rollout: Rollout) -> dict[str, Any]:
     """Return what is on record of one rollout: the numbers of `numbers`, and digests."""
-    trajectory = system.rollout(**rollout, progress=lambda _: None)
+    trajectory = simulated(system, rollout)
     seen = replace(trajectory, visual=system.visual(trajectory))
     return {
         "numbers": numbers(trajectory),
@@ -69,6 +70,14 @@ def record(system: SystemUnderTest, rollout: Rollout) -> dict[str, Any]:
             "visual_file_sha256": _sha256(_file(system, seen, rollout)),
         },
     }
+
+
+def simulated(system: SystemUnderTest, rollout: Rollout) -> Trajectory:
+    """Return the trajectory of a rollout, whose disturbances follow from its seed and its variance."""
+    options = dict(rollout["options"])
+    variance = options.pop("noise_variance", 0.05)
+    drawn = errors(rollout["seed"], variance) if rollout["variant"] == "true" else STILL
+    return system.rollout(**(rollout | {"options": options, "disturbances": drawn}), progress=lambda _: None)
 
 
 def differs(now: Numbers, then: Numbers) -> bool:

@@ -30,6 +30,7 @@ from tests.golden.record import (
     platform_file,
     platform_key,
     record,
+    simulated,
 )
 
 pytestmark = pytest.mark.smoke
@@ -94,6 +95,6 @@ def test_the_smallest_change_of_a_start_shows_in_the_bits_alone(found: dict[str,
 
 
 def test_the_numbers_see_every_row() -> None:
-    trajectory = SYSTEM.rollout(**ROLLOUTS["one step"], progress=lambda _: None)
+    trajectory = simulated(SYSTEM, ROLLOUTS["one step"])
     assert numbers(trajectory)["mean"][0] == pytest.approx(1 / 240)
     assert numbers(trajectory)["max_abs_phi"] == abs(trajectory.samples[:, 6]).max()

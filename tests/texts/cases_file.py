@@ -80,7 +80,7 @@ def _keys() -> Cases:
         yield f"a file of two problems {number}: {' / '.join(new) or 'a line is left out'}", faults(whole)
     yield "more than 20 faults", file.faults_of("".join(f"wrong{k} = 1\n" for k in range(30)) + file.PAPER)[-1]
     for option in ("noise_variance = -1", 'mass = "heavy"'):
-        yield f"an option of the system: {option}", file.refused(file.changed("noise_variance = 0.05", option))
+        yield f"an option of the system: {option}", file.refused(file.changed('gains = "paper"', option))
     other = file.changed("\nx = {", "\nz = {").replace('gains = "paper"', 'gaims = "paper"')
     yield "faults against the system", file.refused(other.replace("horizon = 15", "horizon = 150"))
     yield "no such column", file.refused(file.changed('column = "phi"', 'column = "roll"'))

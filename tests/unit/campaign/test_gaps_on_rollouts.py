@@ -6,7 +6,8 @@ from perfbound.orchestrator.campaign.objectives import clipped, scored, signal_s
 from perfbound.orchestrator.mathematics.stl.parser import parse_formula
 from perfbound.orchestrator.mathematics.stl.predicates import predicate_sup
 from perfbound.orchestrator.mathematics.stl.robustness import robustness
-from perfbound.workers.systems import load_system
+from perfbound.workers.systems.segway import SegwaySystem
+from tests.fakes.segway import STILL, errors
 
 STARTS = [(5.0, 0.0), (0.0, 5.0), (4.5, 4.5), (2.5, 2.5)]
 SPECIFICATION = "always (abs(phi) <= 0.95)"
@@ -18,7 +19,7 @@ WIDER = (
 
 @pytest.mark.parametrize("gains", ["paper", "aggressive"])
 def test_the_gaps_are_ordered_on_every_rollout(gains: str) -> None:
-    system = load_system("segway")
+    system = SegwaySystem()
     formula, wider = parse_formula(SPECIFICATION), parse_formula(WIDER)
     for number, start in enumerate(STARTS):
         nominal, true = (
@@ -27,8 +28,9 @@ def test_the_gaps_are_ordered_on_every_rollout(gains: str) -> None:
                 variant=variant,
                 seed=number,
                 horizon=15.0,
-                options={"gains": gains, "noise_variance": 0.05},
+                options={"gains": gains},
                 progress=lambda _: None,
+                disturbances=errors(number) if variant == "true" else STILL,
             )
             for variant in ("nominal", "true")
         )

@@ -18,6 +18,7 @@ from perfbound.workers.systems.base import Cancelled
 from perfbound.workers.systems.segway import SegwaySystem, bullet, controller
 from perfbound.workers.systems.segway.bullet import StartPose, World
 from perfbound.workers.systems.segway.controller import GAINS, GOAL, State, voltages
+from tests.fakes.segway import STILL, errors
 
 SYSTEM = SegwaySystem()
 PHI = SYSTEM.spec.columns.index(next(column for column in SYSTEM.spec.columns if column.name == "phi"))
@@ -26,7 +27,15 @@ PHI = SYSTEM.spec.columns.index(next(column for column in SYSTEM.spec.columns if
 def rollout(
     *x: float, variant: Any = "nominal", seed: int = 0, horizon: float = 15.0, **options: OptionValue
 ) -> Trajectory:
-    return SYSTEM.rollout(x, variant=variant, seed=seed, horizon=horizon, options=options, progress=lambda _: None)
+    return SYSTEM.rollout(
+        x,
+        variant=variant,
+        seed=seed,
+        horizon=horizon,
+        options=options,
+        progress=lambda _: None,
+        disturbances=errors(seed) if variant == "true" else STILL,
+    )
 
 
 def from_start(start: StartPose, *, seconds: float = 15.0, gains: str = "paper") -> Floats:
@@ -91,20 +100,30 @@ def test_a_tilted_start_turns_about_the_axle() -> None:
 
 
 @pytest.mark.rest
-def test_nominal_has_no_noise_and_true_has_four() -> None:
+def test_a_true_start_is_off_by_its_disturbances_and_nothing_else_is_random() -> None:
     assert digest(rollout(1.0, 2.0, seed=1, horizon=1)) == digest(rollout(1.0, 2.0, seed=2, horizon=1))
-    starts = np.array([rollout(1, 2, variant="true", seed=n, horizon=0).samples[0] for n in range(400)])
-    errors = starts[:, [1, 2, 3, PHI]] - (1, 2, 0, 0)
-    assert errors.mean(axis=0) == pytest.approx([0, 0, 0, 0], abs=0.05)
-    assert errors.var(axis=0) == pytest.approx([0.05] * 4, rel=0.3)
-    assert np.abs(np.corrcoef(errors.T) - np.eye(4)).max() < 0.2
-    assert not starts[:, 4:6].any()  # at rest
-    silent = rollout(1.0, 2.0, variant="true", seed=3, horizon=1, noise_variance=0.0)
+    first = rollout(1.0, 2.0, variant="true", seed=9, horizon=0).samples[0]
+    assert first[[1, 2, 3, PHI]] - (1, 2, 0, 0) == pytest.approx(list(errors(9).values()), abs=1e-12)
+    assert not first[4:6].any()  # at rest
+    common: Any = {"horizon": 1.0, "options": {}, "progress": lambda _: None}
+    silent = SYSTEM.rollout((1.0, 2.0), variant="true", seed=3, disturbances=STILL, **common)
     assert digest(silent) == digest(rollout(1.0, 2.0, horizon=1))
+    again = [SYSTEM.rollout((1.0, 2.0), variant="true", seed=n, disturbances=errors(9), **common) for n in (1, 2)]
+    assert digest(again[0]) == digest(again[1])
+
+
+def test_the_declared_laws_are_those_of_the_paper() -> None:
+    assert [each.words for each in SYSTEM.spec.disturbances] == [
+        "normal, mean 0 m, sd 0.223607 m",
+        "normal, mean 0 m, sd 0.223607 m",
+        "normal, mean 0 rad, sd 0.223607 rad",
+        "normal, mean 0 rad, sd 0.223607 rad",
+    ]
+    assert (SYSTEM.spec.residual, SYSTEM.spec.noisy) == (False, ("true",))
 
 
 def test_what_is_outside_the_spec_is_refused() -> None:
-    for options in ({"gains": "soft"}, {"noise_variance": 2.0}, {"noise_variance": "0.05"}, {"mass": 3.0}):
+    for options in ({"gains": "soft"}, {"gains": 2.0}, {"mass": 3.0}):
         with pytest.raises(SimulationError):
             rollout(1.0, 1.0, **options)
     for x in ((1.0,), (1.0, 2.0, 3.0), (26.0, 0.0)):
@@ -116,7 +135,8 @@ def test_what_is_outside_the_spec_is_refused() -> None:
 
 def test_progress_counts_and_lets_the_cancellation_through() -> None:
     steps: list[int] = []
-    SYSTEM.rollout((1.0, 1.0), variant="nominal", seed=0, horizon=2, options={}, progress=steps.append)
+    common: Any = {"variant": "nominal", "seed": 0, "horizon": 2, "options": {}, "disturbances": STILL}
+    SYSTEM.rollout((1.0, 1.0), **common, progress=steps.append)
     assert steps == [0, 60, 120, 180]
     before = digest(rollout(1.0, 1.0, horizon=1))
 
@@ -125,7 +145,7 @@ def test_progress_counts_and_lets_the_cancellation_through() -> None:
             raise Cancelled
 
     with pytest.raises(Cancelled):
-        SYSTEM.rollout((4.0, 1.0), variant="nominal", seed=0, horizon=2, options={}, progress=cancel)
+        SYSTEM.rollout((4.0, 1.0), **common, progress=cancel)
     assert digest(rollout(1.0, 1.0, horizon=1)) == before
 
 
@@ -294,7 +314,8 @@ def test_trap_6_a_second_client_does_not_disturb(free: World, corner: Trajectory
         free._bullet.createMultiBody(1.0, shape, physicsClientId=free._client)
         free._bullet.getCameraImage(32, 24, renderer=free._bullet.ER_TINY_RENDERER, physicsClientId=free._client)
 
-    again = SYSTEM.rollout((5.0, 0.0), variant="nominal", seed=0, horizon=15, options={}, progress=render)
+    common: Any = {"variant": "nominal", "seed": 0, "horizon": 15, "options": {}, "disturbances": STILL}
+    again = SYSTEM.rollout((5.0, 0.0), **common, progress=render)
     assert digest(again) == digest(corner)
 
 
@@ -315,7 +336,7 @@ def test_trap_8_equal_in_a_fresh_process(corner: Trajectory) -> None:
     code = (
         "import hashlib; from perfbound.workers.systems.segway import SegwaySystem\n"
         "found = SegwaySystem().rollout((5.0, 0.0), variant='nominal', seed=0, horizon=15, options={}, "
-        "progress=lambda step: None)\n"
+        f"progress=lambda step: None, disturbances={STILL})\n"
         "print(hashlib.sha256(found.samples.tobytes()).hexdigest())"
     )
     done = subprocess.run([sys.executable, "-W", "error", "-c", code], check=True, capture_output=True, text=True)

@@ -13,8 +13,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from perfbound.schemas.system import OptionValue
 from perfbound.workers.systems.segway import SegwaySystem
+from tests.fakes.segway import errors
 
 Floats = NDArray[np.float64]
 Robustness = Callable[[tuple[float, ...], int], float]
@@ -110,8 +110,15 @@ def segway(start: tuple[float, ...], seed: int) -> float:
 
     A start is x and y; three seconds contain the largest tilt.
     """
-    options: dict[str, OptionValue] = {"gains": "aggressive", "noise_variance": 0.01}
-    found = _segway().rollout(start, variant="true", seed=seed, horizon=3.0, options=options, progress=lambda _: None)
+    found = _segway().rollout(
+        start,
+        variant="true",
+        seed=seed,
+        horizon=3.0,
+        options={"gains": "aggressive"},
+        progress=lambda _: None,
+        disturbances=errors(seed, variance=0.01),
+    )
     return 0.86 - float(np.abs(found.samples[:, found.columns.index("phi")]).max())
 
 

@@ -5,12 +5,14 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.trajectory.trajectory import decode
 from perfbound.workers.simulate import run_request_on
 from perfbound.workers.systems import segway
 from perfbound.workers.systems.segway import SegwaySystem
+from tests.fakes.segway import STILL
 from tests.studies.benchmarks.report import Row
 
 CONTROL_RATE, SUB_STEPS, WHEEL_RADIUS = 120, 2, 0.195  # 1/s, physics steps per control step, m
@@ -96,7 +98,8 @@ def bare_steps() -> float:
 
 def rollout(system: SegwaySystem) -> object:
     """Simulate once, without a file."""
-    return system.rollout(START, variant="nominal", seed=0, horizon=HORIZON, options={}, progress=_ignore)
+    common: Any = {"variant": "nominal", "seed": 0, "horizon": HORIZON, "options": {}, "disturbances": STILL}
+    return system.rollout(START, **common, progress=_ignore)
 
 
 def a_request(system: SegwaySystem, *, visual: bool) -> RolloutRequest:
@@ -114,6 +117,7 @@ def a_request(system: SegwaySystem, *, visual: bool) -> RolloutRequest:
         x=START,
         horizon=HORIZON,
         visual=visual,
+        disturbances=tuple(STILL.values()),
     )
 
 

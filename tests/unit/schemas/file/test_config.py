@@ -23,8 +23,20 @@ def test_the_text_of_a_campaign_is_the_same_campaign(path: Path, tmp_path: Path)
 
 
 DECIDE = {
-    *("batch", "candidates", "claims", "clip", "composition", "falsify", "gap", "horizon", "max_tests", "name"),
-    *("on_refuted", "problems", "recheck", "regions", "replicates", "resolution", "risk_weight", "seed", "space"),
+    *("batch", "candidates", "claims", "clip", "composition", "disturbances", "falsify", "gap", "horizon"),
+    *(
+        "max_tests",
+        "name",
+        "on_refuted",
+        "problems",
+        "recheck",
+        "regions",
+        "replicates",
+        "resolution",
+        "risk_weight",
+        "seed",
+        "space",
+    ),
     *("specification", "specifications", "spot_check", "spot_check_followups", "spot_replicates", "system"),
     *("until_counterexample", "where", "window"),
 }

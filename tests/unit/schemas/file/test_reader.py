@@ -309,9 +309,9 @@ def test_a_file_that_suits_its_system() -> None:
 
 
 def test_an_option_without_limits_takes_any_number_and_no_text() -> None:
-    assert refused(changed("noise_variance = 0.05", "noise_variance = -1")).endswith("allowed is a number >= 0")
-    assert says(refused(changed("noise_variance = 0.05", 'mass = "heavy"')), "'heavy'")
-    check_against(parse_campaign(changed("noise_variance = 0.05", "mass = -1e9").encode(), "c.toml"), SPEC, "c.toml")
+    assert refused(changed('gains = "paper"', "noise_variance = -1")).endswith("allowed is a number >= 0")
+    assert says(refused(changed('gains = "paper"', 'mass = "heavy"')), "'heavy'")
+    check_against(parse_campaign(changed('gains = "paper"', "mass = -1e9").encode(), "c.toml"), SPEC, "c.toml")
 
 
 def test_every_fault_against_the_system_has_a_line() -> None:

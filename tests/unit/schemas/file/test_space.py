@@ -154,11 +154,11 @@ def test_the_json_schema_refuses_other_forms(space: str) -> None:
 
 
 DIGESTS = {
-    "deploy/campaigns/segway-aggressive": "1cf9c427c8d79d35",
-    "deploy/campaigns/segway-direct": "594e2e59f7a43cd4",
-    "deploy/campaigns/segway-paper": "fdbb0397d0689038",
-    "tests/fixtures/segway-pair": "6ed3e1ecbf608c18",
-    "deploy/campaigns/segway-scenario": "1fa82d6a43b92518",
+    "deploy/campaigns/segway-aggressive": "c3e9b5b804a1a799",
+    "deploy/campaigns/segway-direct": "82ddcb13203d2408",
+    "deploy/campaigns/segway-paper": "fd1391783912a967",
+    "tests/fixtures/segway-pair": "f2009949019fc175",
+    "deploy/campaigns/segway-scenario": "40e113a729f87b5b",
     "deploy/campaigns/test-function-rigorous": "6ae322dd2c7e6271",
     "deploy/campaigns/test-function": "8bb5c1c859284c1e",
     "deploy/examples/cars/cars": "f101c39f29f35b9c",

@@ -13,6 +13,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.workers.simulate import run_request_on
 from perfbound.workers.systems.segway import SegwaySystem
+from tests.fakes.segway import STILL
 
 LAYOUT = json.loads((Path(__file__).parents[4] / "deploy" / "foxglove" / "segway.json").read_text())
 PANELS: dict[str, Any] = LAYOUT["configById"]
@@ -38,6 +39,7 @@ def topics() -> Messages:
         x=(5.0, 0.0),
         horizon=0.1,
         visual=True,
+        disturbances=tuple(STILL.values()),
     )
     file = io.BytesIO(run_request_on(segway, request, lambda _: None))
     reader = make_reader(file, decoder_factories=[DecoderFactory()])
