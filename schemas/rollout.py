@@ -15,6 +15,8 @@ from .system import OptionValue, SystemSpec, Variant
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
+SHOWN = 6
+"""Disturbances in words."""
 MAX_PARAMETERS = 1000
 """Numbers of one start."""
 Start = Annotated[tuple[Magnitude, ...], Field(min_length=1, max_length=MAX_PARAMETERS)]
@@ -101,7 +103,14 @@ class RolloutRequest(Model):
         """Return start, variant and seed, as messages name a rollout."""
         start = ", ".join(f"{each.name} = {value:g}" for each, value in zip(spec.parameters, self.x, strict=True))
         variant = f", variant {self.variant}" if len(spec.variants) > 1 else ""
-        return f"{start}{variant}, seed {self.seed}"
+        drawn = f", with {self.disturbance_words(spec)}" if self.disturbances else ""
+        return f"{start}{variant}{drawn}, seed {self.seed}"
+
+    def disturbance_words(self, spec: SystemSpec) -> str:
+        """Return the values of the disturbances with their units; of many the first ones."""
+        pairs = list(zip(spec.disturbances, self.disturbances, strict=True))
+        shown = [f"{each.name} = {value:.4g} {each.unit}".removesuffix(" 1").rstrip() for each, value in pairs[:SHOWN]]
+        return ", ".join(shown) + (f", and {len(pairs) - SHOWN} more" if len(pairs) > SHOWN else "")
 
     @property
     def metadata(self) -> dict[str, str]:

@@ -20,6 +20,13 @@ if TYPE_CHECKING:
 @click.option("--horizon", type=click.FloatRange(0, 86_400), default=None, help="Seconds; default: the system's own.")
 @click.option("--option", "options", multiple=True, metavar="KEY=VALUE", help="Option of the system; may be repeated.")
 @click.option(
+    "--disturbance",
+    "disturbances",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Value of a disturbance, by default drawn from the seed; may be repeated.",
+)
+@click.option(
     "--timeout",
     type=click.FloatRange(0, 86_400, min_open=True),
     default=None,
@@ -35,6 +42,7 @@ def simulate(
     seed: int,
     horizon: float | None,
     options: tuple[str, ...],
+    disturbances: tuple[str, ...],
     timeout: float | None,
     out: Path | None,
     plot: Path | None,
@@ -47,7 +55,7 @@ def simulate(
     from ..fleet.children.simulate import WantedRollout  # noqa: PLC0415
     from ..report.rollout.single import simulate_once  # noqa: PLC0415
 
-    wanted = WantedRollout(system, start, variant, seed, horizon, options, timeout)
+    wanted = WantedRollout(system, start, variant, seed, horizon, options, timeout, disturbances)
     for line in simulate_once(wanted, out=out, plot=plot, on_line=lambda text: click.echo(text, err=True)):
         click.echo(line)
 

@@ -63,6 +63,8 @@ class TrialRequest:
     seed: int
     horizon: float
     options: Mapping[str, OptionValue]
+    disturbances: Mapping[str, float]
+    """The value of each disturbance that the system declares, by its name."""
     request: RolloutRequest
     """All of it, as a worker gets it."""
 
@@ -76,6 +78,7 @@ class TrialRequest:
             seed=request.seed,
             horizon=request.horizon,
             options=request.options,
+            disturbances=dict(zip((each.name for each in spec.disturbances), request.disturbances, strict=True)),
             request=request,
         )
 

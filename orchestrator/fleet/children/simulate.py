@@ -38,6 +38,8 @@ class WantedRollout:
     """KEY=VALUE each."""
     limit: float | None = None
     """Seconds that it may take; None for the `deadline` of the campaign file, or of a campaign without that key."""
+    disturbances: Sequence[str] = ()
+    """NAME=VALUE each, in place of the values that are drawn from the seed."""
 
     def request(self) -> tuple[SystemSpec, RolloutRequest, float]:
         """Return the system, the request to it, and the seconds that it may take.
@@ -58,7 +60,9 @@ class WantedRollout:
         start = _numbers(spec, self.start)
         deadline = LIMIT if config is None else config.deadline
         limit = deadline if self.limit is None else self.limit
-        return spec, template.request(RolloutId("simulate", 0, self.variant, 0), start, self.seed), limit
+        request = template.request(RolloutId("simulate", 0, self.variant, 0), start, self.seed)
+        drawn = _with_given(spec, request.disturbances, self.disturbances)
+        return spec, request.model_copy(update={"disturbances": drawn}), limit
 
 
 def chosen_horizon(spec: SystemSpec, horizon: float | None) -> float:
@@ -178,6 +182,8 @@ def describe(reference: str | None = None) -> Iterator[str]:
         for parameter in spec.parameters:
             over_time = ", an input over time" if parameter.signal else ""
             yield f"  parameter {parameter.name} in [{parameter.low:g}, {parameter.high:g}] {parameter.unit}{over_time}"
+        for each in spec.disturbances:
+            yield f"  random    {each.name}: {each.words}"
         for option in spec.options:
             allowed = " | ".join(option.choices) or option.allowed_numbers
             yield f"  option    {option.name} = {option.default} (allowed: {allowed}) {option.doc}"
@@ -221,6 +227,21 @@ def chosen_options(spec: SystemSpec, texts: Sequence[str]) -> dict[str, OptionVa
         except ValueError:
             raise PerfboundError(f"--option {text}: {value!r} is not a finite number") from None
     return chosen
+
+
+def _with_given(spec: SystemSpec, drawn: Sequence[float], texts: Sequence[str]) -> tuple[float, ...]:
+    """Return the disturbances, those that `--disturbance NAME=VALUE` names with its values."""
+    values = dict(zip((each.name for each in spec.disturbances), drawn, strict=True))
+    for text in texts:
+        name, _, value = text.partition("=")
+        if name not in values:
+            there = f"{meant(name, values)}{spec.name} has the disturbances {', '.join(values) or 'none'}"
+            raise PerfboundError(f"--disturbance {text}: {there}")
+        try:
+            values[name] = _finite_number(value)
+        except ValueError:
+            raise PerfboundError(f"--disturbance {text}: {value!r} is not a finite number") from None
+    return tuple(values.values())
 
 
 def _finite_number(text: str) -> float:

@@ -15,6 +15,7 @@ SYSTEM_CHECKS = {
     "together": "rollouts of two processes at the same time give the same as each alone",
     "batches": "a rollout is the same in a batch and alone, whatever the others are and in which order",
     "seed": "the rollouts of a noisy variant differ between seeds, those of another one do not",
+    "disturbances": "every declared disturbance has an effect, and nothing else is random unless the system says so",
     "random state": "no rollout depends on the global random state, or changes it",
     "horizon": "a longer horizon gives a longer trajectory with the same beginning",
     "memory": "the memory of the process does not grow with its rollouts",
@@ -42,6 +43,7 @@ OF_PROGRAM = {
     "devices and displays by PERFBOUND_WORKER, in place of fixed names; or run one worker on each machine",
     "seed": "draw all random numbers from the whole `seed` (seed_bits = 32 in [system] makes it fit), and let noisy in "
     "[system] say which variants depend on it",
+    "disturbances": "use the values under `disturbances` in each line; with residual = false in [system] use no seed",
     "memory": "free what a rollout allocates, or let the program end after each rollout",
     "leftovers": "write no files but the one at `path`, or remove them, and end every process before the answer",
 }

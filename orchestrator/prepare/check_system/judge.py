@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from ....schemas.errors import one_line
 from ....schemas.system_check import ChildRun
-from . import batches, costs, files, repeats, trajectories
+from . import batches, costs, disturbances, files, repeats, trajectories
 from .findings import OF_PROGRAM, SystemFinding, failed, passed
 from .measurements import Measurements
 
@@ -64,6 +64,7 @@ _CHECKS: dict[str, Callable[[Measurements], SystemFinding | None]] = {
     "together": judge_together,
     "batches": batches.judge_batches,
     "seed": repeats.judge_seed,
+    "disturbances": disturbances.judge_disturbances,
     "random state": repeats.judge_random_state,
     "horizon": trajectories.judge_horizon,
     "memory": costs.judge_memory,
@@ -72,7 +73,7 @@ _CHECKS: dict[str, Callable[[Measurements], SystemFinding | None]] = {
     "files": files.judge_files,
     "speed": costs.judge_speed,
 }
-_COMPARING = {"together", "seed", "horizon"}
+_COMPARING = {"together", "seed", "disturbances", "horizon"}
 """Checks that compare rollouts, and so need repeatable ones."""
 
 
@@ -80,7 +81,8 @@ def judge(measurements: Measurements) -> tuple[SystemFinding, ...]:
     """Return one finding for each check; a check that nothing was measured for is skipped."""
     found: dict[str, SystemFinding] = {}
     for name, check in _CHECKS.items():
-        finding = check(measurements) or SystemFinding(name, "skipped", "no rollout was measured for it")
+        none = "the system declares none" if name == "disturbances" and not measurements.spec.disturbances else ""
+        finding = check(measurements) or SystemFinding(name, "skipped", none or "no rollout was measured for it")
         if name in _COMPARING and found["repeatable"].status == "failed":
             finding = SystemFinding(name, "skipped", "equal rollouts differ already")
         if measurements.program and finding.remedy:

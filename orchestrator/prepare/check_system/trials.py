@@ -31,6 +31,8 @@ BATCHED = 32
 """Rollouts of a batch that is compared with them."""
 MANY_SEEDS, FEWEST_SEEDS = 40, 10
 """Seeds at one start that show whether a system uses the whole seed, and the fewest that are worth a look."""
+MOST_DISTURBED, OTHER_VALUES = 30, 20
+"""Disturbances that are tried one by one, and draws of which one differs."""
 MOST_ATTEMPTS = 20_000
 """At a start of the region, which has at least 1 in 1,000 starts of the box."""
 FIRST_FEW = 6
@@ -38,6 +40,7 @@ FIRST_FEW = 6
 GOLDEN = (5**0.5 - 1) / 2
 """Its multiples, modulo 1, are spread evenly."""
 START, CORNER, RANDOM, GROWTH, SEED, BATCH = "start", "corner", "random", "growth", "seed", "batch"
+RESIDUAL, DISTURBED = "residual", "disturbed"
 """Kinds of rollouts: their `problem`."""
 
 Point = tuple[float, ...]
@@ -110,6 +113,7 @@ class Trials:
             *self._others(),
             *starts,
             *self._reseeded(),
+            *self._disturbed(),
             *self._shorter(),
             *self._seeds(seconds),
             *self._growing(seconds),
@@ -166,6 +170,23 @@ class Trials:
         for trial in self.fresh():
             for seed in GLOBAL_SEEDS:
                 yield trial.model_copy(update={"reseed": seed})
+
+    def _disturbed(self) -> Iterator[Trial]:
+        """Yield the start with another seed, then with another value of one disturbance after the other."""
+        for trial in self.fresh():
+            request = trial.request
+            if request.variant not in self.spec.noisy or not self.spec.disturbances:
+                continue
+            rng = np.random.default_rng([self.seed, *DISTURBED.encode()])
+            seeds = list(map(int, rng.integers(2**self.spec.seed_bits, size=OTHER_VALUES)))
+            yield Trial(request=request.model_copy(update={"problem": RESIDUAL, "seed": seeds[0]}))
+            others = self.template.disturbances(request.variant, seeds)
+            for k, value in enumerate(request.disturbances[:MOST_DISTURBED]):
+                values = list(request.disturbances)
+                # Of few choices some draws are alike.
+                values[k] = next((each[k] for each in others if each[k] != value), value)
+                changes = {"problem": DISTURBED, "replicate": k, "disturbances": tuple(values)}
+                yield Trial(request=request.model_copy(update=changes))
 
     def _shorter(self) -> Iterator[Trial]:
         if self.halves and self.horizon:

@@ -102,7 +102,8 @@ def description(found: RecordedRollout) -> str:
     )
     score = "" if found.fact.robustness is None else f", robustness {found.fact.robustness:.6g}"
     score += "; its sign may depend on a time stamp close to a border of a window" if found.fact.by_tolerance else ""
-    return f"{spec.name}, {request.variant}, {start}, seed {request.seed}{score}"
+    drawn = f"{request.disturbance_words(spec)}, " if request.disturbances else ""
+    return f"{spec.name}, {request.variant}, {start}, {drawn}seed {request.seed}{score}"
 
 
 def _find(connection: Connection, header: Header, directory: Path, text: str) -> tuple[RolloutFact, tuple[float, ...]]:

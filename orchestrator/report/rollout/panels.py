@@ -56,4 +56,5 @@ def _rollout_title(spec: SystemSpec, request: RolloutRequest, shown: int) -> str
         for each, value in zip(spec.parameters, request.x, strict=True)
     )
     some = "" if shown == len(spec.columns) - 1 else f"; {shown} of {len(spec.columns) - 1} columns"
-    return f"{spec.name}, {request.variant}: {start}; seed {request.seed}{some}"
+    drawn = f"; {style.plain_text(request.disturbance_words(spec))}" if request.disturbances else ""
+    return f"{spec.name}, {request.variant}: {start}{drawn}; seed {request.seed}{some}"

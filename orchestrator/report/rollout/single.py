@@ -30,6 +30,8 @@ def simulate_once(
     yield from column_lines(spec, trajectory)
     if wanted.horizon is None:
         yield f"horizon {request.horizon:g} s, because --horizon is not given"
+    if request.disturbances:
+        yield f"disturbances: {request.disturbance_words(spec)}"
     if out is not None:
         yield f"{len(trajectory.samples)} samples in {out}"
     if plot is not None:

@@ -1,0 +1,46 @@
+"""The finding about declared disturbances: each has an effect, and beside them nothing is random that is not declared."""
+
+from ....schemas.system_check import Measured
+from .findings import SystemFinding, failed, passed, warning
+from .measurements import Measurements
+from .trials import DISTURBED, RESIDUAL, START
+
+
+def judge_disturbances(measurements: Measurements) -> SystemFinding | None:
+    """Judge whether rollouts depend on every disturbance, and on the seed besides as the system declares."""
+    spec, before = measurements.spec, dict[str, Measured]()
+    ignored, differing, compared = dict[str, bool](), False, 0
+    for trial, found in measurements.good:
+        request = trial.request
+        if request.problem == START and trial.reseed is None:
+            before.setdefault(request.variant, found)
+        if (first := before.get(request.variant)) is None or request.problem not in {RESIDUAL, DISTURBED}:
+            continue
+        differs, compared = found.samples_sha256 != first.samples_sha256, compared + 1
+        if request.problem == RESIDUAL:
+            differing = differing or differs
+        else:
+            name = spec.disturbances[request.replicate].name
+            ignored[name] = ignored.get(name, True) and not differs
+    if not compared:
+        return None
+    if differing and not spec.residual:
+        return failed(
+            "disturbances",
+            "with equal disturbances two seeds give two rollouts, and the system declares that nothing else is random",
+            "declare what the seed still decides as a disturbance, too, or leave residual=False out",
+        )
+    if unused := [name for name, is_ignored in ignored.items() if is_ignored]:
+        return warning(
+            "disturbances",
+            f"another value of {' or of '.join(unused)} changes nothing at this start",
+            "use the argument of this name in place of a number that the simulator draws itself",
+        )
+    if spec.residual and not differing:
+        return warning(
+            "disturbances",
+            "with equal disturbances two seeds give one rollout: nothing else seems to be random",
+            "declare residual=False, or leave the argument `seed` out",
+        )
+    rest = "the seed decides something besides" if spec.residual else "nothing else is random"
+    return passed("disturbances", f"each of {len(ignored)} has an effect, and {rest}")
