@@ -197,19 +197,22 @@ def _rollouts_table(name: str, header: Header, query: sa.Select[Any], *, violati
     from ...schemas.result.block_facts import each_rollout, each_violation  # noqa: PLC0415
     from .facts import rollout_fact  # noqa: PLC0415
 
-    each = each_violation if violating_alone else each_rollout
+    each, template = each_violation if violating_alone else each_rollout, header.template
 
     def expand(row: Any) -> Iterator[Row]:
         attempt = (row.worker, row.attempts, row.wall_seconds, row.cpu_seconds)
         of_block = row.starts is not None
         starts = np.frombuffer(row.starts).reshape(row.tests, -1).tolist() if of_block else [json.loads(row.x)]
-        for fact in each(rollout_fact(row)):
+        facts = list(each(rollout_fact(row)))
+        # They follow from the seeds, as in the requests.
+        drawn = template.disturbances(row.variant, [fact.seed for fact in facts]) if facts else ()
+        for fact, values in zip(facts, drawn or [()] * len(facts), strict=True):
             which = (str(fact.rollout), *fact.rollout, fact.seed)
             found = (fact.robustness, int(fact.by_tolerance), fact.ended, fact.path, fact.size, fact.sha256)
-            yield *which, *starts[fact.rollout.test - row.first], *found, *attempt
+            yield *which, *starts[fact.rollout.test - row.first], *values, *found, *attempt
 
     robustness = ExportColumn("robustness", unit=robustness_unit(header.config, header.spec))
-    columns = (*_ROLLOUT, *_starts(header), robustness, *_REMARKS, *_FILE, *_ATTEMPT)
+    columns = (*_ROLLOUT, *_starts(header), *_disturbances(header), robustness, *_REMARKS, *_FILE, *_ATTEMPT)
     return ExportTable(name, columns, query, expand)
 
 
@@ -325,6 +328,12 @@ def _starts(header: Header) -> tuple[ExportColumn, ...]:
     """Return the parameters; one that is called like a column of ours gets a name that is free."""
     names = ((each.name, each.unit) for each in header.spec.parameters)
     return tuple(ExportColumn(f"start_{name}" if name in _TAKEN else name, unit=unit) for name, unit in names)
+
+
+def _disturbances(header: Header) -> tuple[ExportColumn, ...]:
+    """Return the disturbances, named as the parameters are."""
+    names = ((each.name, each.unit) for each in header.spec.disturbances)
+    return tuple(ExportColumn(f"disturbance_{name}" if name in _TAKEN else name, unit=unit) for name, unit in names)
 
 
 _OURS = (*_ROLLOUT, *_FILE, *_ATTEMPT, *_OBJECTIVE, *_EXPECTED, *_BOUNDS, *_REPLICATE)

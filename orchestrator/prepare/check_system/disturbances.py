@@ -1,4 +1,4 @@
-"""The finding about declared disturbances: each has an effect, and beside them nothing is random that is not declared."""
+"""The finding about declared disturbances: each has an effect, and nothing else is random than the system says."""
 
 from ....schemas.system_check import Measured
 from .findings import SystemFinding, failed, passed, warning
