@@ -72,6 +72,9 @@ class RequestTemplate:
         """Return the request for a rollout that starts at `x` (p,), in the units of the parameters."""
         common = self.common(rollout)
         drawn = self.disturbances(common["variant"], [seed])
+        if within is not None and self.laws is not None:
+            whole = self.disturbances(common["variant"], within.seeds)
+            within = within.model_copy(update={"disturbances": whole})
         return RolloutRequest(
             **common,
             x=tuple(x),

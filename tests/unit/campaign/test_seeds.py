@@ -21,9 +21,11 @@ GOLDEN_NODES = [356, 74]
 
 def header(**changes: object) -> Header:
     """Return the header of the paper's campaign."""
-    return Header.new(config("segway-paper", **changes), load_system("segway").spec, {}, run="0" * 16)
+    return Header.new(config("segway-paper", **changes), UNDECLARED, {}, run="0" * 16)
 
 
+SEGWAY = load_system("segway").spec
+UNDECLARED = SEGWAY.model_copy(update={"disturbances": (), "residual": True})
 PAPER = header()
 
 
@@ -40,6 +42,18 @@ def test_seeds_stay_what_they_were() -> None:
     seeds = [rollout_seed(fixed, RolloutId("sim_gap", test, "true", 0)) for test in range(3)]
     assert seeds == GOLDEN
     assert [first_node(fixed, name, 441) for name in PROBLEMS] == GOLDEN_NODES
+
+
+@pytest.mark.parametrize("bits", [53, 32])
+def test_both_variants_of_a_pair_share_the_seed_of_declared_disturbances(bits: int) -> None:
+    declared = replace(PAPER, spec=SEGWAY.model_copy(update={"seed_bits": bits}))
+    for test in range(20):
+        nominal, true = (RolloutId("sim_gap", test, variant, 0) for variant in ("nominal", "true"))
+        assert rollout_seed(declared, nominal) == rollout_seed(declared, true)
+        assert rollout_seeds(declared, true, 2, 1)[0] == rollout_seed(declared, true)
+        others = replace(declared, spec=UNDECLARED.model_copy(update={"seed_bits": bits}))
+        assert rollout_seed(others, nominal) != rollout_seed(others, true)
+    assert len({rollout_seed(declared, RolloutId("sim_gap", test, "true", 0)) for test in range(50)}) == 50
 
 
 def short(bits: int = 32, **changes: Any) -> Header:

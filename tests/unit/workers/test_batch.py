@@ -8,6 +8,9 @@ import pytest
 import perfbound as pb
 from perfbound.schemas import batch as requests
 from perfbound.schemas.errors import DefinitionError, SimulationError
+from perfbound.schemas.ids import RolloutId
+from perfbound.schemas.requests import RequestTemplate
+from perfbound.schemas.rollout import WithinBatch
 from perfbound.schemas.trajectory.batch import Batch, read_batch
 from perfbound.schemas.trajectory.trajectory import decode
 from perfbound.workers.batch import run_batch_on
@@ -207,3 +210,49 @@ def test_a_batch_that_is_too_large_is_refused_after_one_rollout(
     with pytest.raises(SimulationError, match=r"3 trajectories of 50 samples are 1\.2 kB.*`batch = 2`"):
         simulated(made, STARTS)
     assert len(calls) == 1
+
+
+WINDY = {"gust": pb.Normal(0, 1)}
+
+
+@pb.system(parameters={"a": pb.Parameter(0, 10, unit="m")}, columns={"y": "m"}, disturbances=WINDY)
+def windy(a: float, *, gust: float) -> float:
+    return a + gust
+
+
+@pb.system(
+    parameters={"a": pb.Parameter(0, 10, unit="m")},
+    columns={"y": "m"},
+    disturbances=WINDY,
+    vectorised=True,
+    name="windy",
+)
+def many_windy(a: Any, *, gust: Any) -> Any:
+    gust += a  # an array of its own, which it may change
+    return gust
+
+
+@pytest.mark.parametrize("system", [windy, many_windy])
+def test_each_rollout_of_a_batch_has_its_own_disturbances(system: Any) -> None:
+    template = RequestTemplate.of(system.spec, {}, horizon=0.0, visual=False)
+    request = template.batch(RolloutId("mean", 3, "nominal", 0), [(1.0,), (2.0,)], [5, 6, 7, 8])
+    drawn = [each for (each,) in request.disturbances]
+    assert len(set(drawn)) == 4
+    found = read_batch(run_batch_on(system, request, lambda _: None)).batch
+    assert found.values[0, :, 0].tolist() == [1.0 + drawn[0], 1.0 + drawn[1], 2.0 + drawn[2], 2.0 + drawn[3]]
+    for place in range(4):
+        alone = request.single(place)
+        assert alone.disturbances == (drawn[place],)
+        again = decode(run_request_on(system, alone, lambda _: None))
+        assert again.column("y").tolist() == [found.values[0, place, 0]]
+    assert template.request(RolloutId("mean", 3, "nominal", 1), (1.0,), 6) == request.single(1)
+
+
+def test_a_rollout_within_its_batch_has_the_disturbances_of_all() -> None:
+    template = RequestTemplate.of(many_windy.spec, {}, horizon=0.0, visual=False)
+    whole = WithinBatch(x=((1.0,), (2.0,)), seeds=(5, 6), place=1)
+    request = template.request(RolloutId("recheck", 0, "nominal", 0), (2.0,), 6, within=whole)
+    assert request.within is not None
+    assert request.within.disturbances == template.disturbances("nominal", [5, 6])
+    found = decode(run_request_on(many_windy, request, lambda _: None))
+    assert found.column("y").tolist() == [2.0 + request.disturbances[0]]

@@ -443,3 +443,89 @@ def test_the_code_of_an_installed_system_is_its_folder() -> None:
     assert {"segway/system.py", "segway/model.urdf", "segway/__init__.py"} <= set(spec.code)
     assert not [name for name in spec.code if "__pycache__" in name]
     assert set(systems.load_system("test-function").spec.code) == {"test_function.py", "base.py"}
+
+
+# Disturbances
+
+GUSTY = {"gust": pb.Normal(0, 2, unit="m/s"), "mass": pb.Choice([0.9, 1.1], unit="kg")}
+
+
+def test_disturbances_are_arguments_of_their_names() -> None:
+    found = made(lambda x, *, mass, gust: (x + gust, mass), disturbances=GUSTY)
+    assert [(each.name, each.unit) for each in found.spec.disturbances] == [("gust", "m/s"), ("mass", "kg")]
+    assert (found.spec.residual, found.spec.noisy) == (False, ("nominal",))
+    template = RequestTemplate.of(found.spec, {}, horizon=0.0, visual=False)
+    request = template.request(RolloutId("robustness", 0, "nominal", 0), (0.5,), 7)
+    gust, mass = request.disturbances
+    file = read_mcap(run_request_on(found, request, lambda _: None))
+    assert file.trajectory.samples[0].tolist() == [0.0, 0.5 + gust, mass]
+    assert file.request["disturbances"] == [gust, mass], "they are part of the evidence"
+    assert request.words(found.spec) == f"x = 0.5, with gust = {gust:.4g} m/s, mass = {mass:g} kg, seed 7"
+
+
+def test_another_seed_gives_other_disturbances_and_a_variant_without_noise_the_medians() -> None:
+    def pair(x: float, *, gust: float, mass: float, variant: str) -> Any:
+        return gust, mass
+
+    found = made(pair, disturbances=GUSTY, noisy=["true"])
+    template = RequestTemplate.of(found.spec, {}, horizon=0.0, visual=False)
+    true = [template.request(RolloutId("sim_gap", 0, "true", 0), (0.5,), seed).disturbances for seed in (1, 2)]
+    nominal = [template.request(RolloutId("sim_gap", 0, "nominal", 0), (0.5,), seed).disturbances for seed in (1, 2)]
+    assert true[0] != true[1]
+    assert nominal == [(0.0, 1.1)] * 2, "the medians"
+
+
+@pytest.mark.parametrize(
+    ("seed", "residual", "wanted"), [(True, None, True), (True, False, False), (False, None, False)]
+)
+def test_what_is_random_besides_is_known(seed: bool, residual: bool | None, wanted: bool) -> None:
+    with_seed, without = lambda x, *, gust, seed: (x, gust), lambda x, *, gust: (x, gust)
+    laws = {"gust": pb.Normal(0, 1)}
+    assert made(with_seed if seed else without, disturbances=laws, residual=residual).spec.residual is wanted
+
+
+WRONG_DISTURBANCES: list[tuple[Callable[..., Any], dict[str, Any], str]] = [
+    (lambda x: (x, x), {"gust": pb.Normal(0, 1)}, "takes no argument gust; name it behind the *"),
+    (lambda x, *, gust=0.0: (x, x), {"gust": pb.Normal(0, 1)}, "takes no argument gust; name it behind the *"),
+    (lambda x, *, gust: (x, x), {"gust": 3.0}, "gust: 3.0 is no law; write pb.Normal"),
+    (lambda x, *, Gust: (x, x), {"Gust": pb.Normal(0, 1)}, "'Gust': a name consists of a-z"),
+    (lambda x, *, x_: (x, x), {"x_": pb.Normal(0, 1)}, ""),
+    (lambda x, *, gust: (x, x), {}, "option 'gust' needs a default"),
+]
+
+
+@pytest.mark.parametrize(("function", "laws", "fault"), WRONG_DISTURBANCES)
+def test_disturbances_that_do_not_fit_the_function_are_refused(
+    function: Callable[..., Any], laws: dict[str, Any], fault: str
+) -> None:
+    if not fault:
+        made(function, disturbances=laws)
+        return
+    with pytest.raises(DefinitionError) as caught:
+        made(function, disturbances=laws)
+    assert fault in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("given", "fault"),
+    [
+        (None, "takes the disturbances gust, mass, not none"),
+        ({"gust": 1.0}, "takes the disturbances gust, mass, not gust"),
+        ({"gust": 1.0, "mass": math.nan}, "mass = nan is not a finite number"),
+        ({"gust": 1.0, "mass": 1.0, "rain": 2.0}, "not gust, mass, rain"),
+    ],
+)
+def test_a_rollout_takes_exactly_its_disturbances(given: dict[str, float] | None, fault: str) -> None:
+    found = made(lambda x, *, mass, gust: (x, x), disturbances=GUSTY)
+    with pytest.raises(SimulationError, match=fault):
+        found.rollout(
+            (0.5,), variant="nominal", seed=0, horizon=0.0, options={}, progress=lambda _: None, disturbances=given
+        )
+
+
+def test_a_request_with_disturbances_for_a_system_without_any_is_refused() -> None:
+    found = made(lambda x: (x, x))
+    template = RequestTemplate.of(found.spec, {}, horizon=0.0, visual=False)
+    request = template.request(RolloutId("robustness", 0, "nominal", 0), (0.5,), 7)
+    with pytest.raises(SimulationError, match="f has 0 disturbances, not 1"):
+        run_request_on(found, request.model_copy(update={"disturbances": (1.0,)}), lambda _: None)

@@ -94,6 +94,17 @@ def test_the_spec_follows_from_the_campaign_file(program: Callable[..., ProgramS
     assert set(spec.code) == {sys.executable, "sim.py"}, "the interpreter and its script"
 
 
+def test_the_disturbances_of_the_file_are_in_the_line(program: Callable[..., ProgramSystem], tmp_path: Path) -> None:
+    laws = '[disturbances]\ngust = { distribution = "normal", mean = 0.0, sd = 2.0, unit = "m/s" }'
+    system = program(f'open("got", "w").write(line); {WRITES}', f"residual = false\n{laws}")
+    assert [each.words for each in system.spec.disturbances] == ["normal, mean 0 m/s, sd 2 m/s"]
+    assert (system.spec.residual, system.spec.noisy) == (False, ("nominal",))
+    rolled(system, disturbances={"gust": 1.25})
+    assert json.loads((tmp_path / "got").read_text())["disturbances"] == {"gust": 1.25}
+    with pytest.raises(SimulationError, match="sim takes the disturbances gust, not none"):
+        rolled(system)
+
+
 def test_one_line_has_everything_in_a_fixed_order(program: Callable[..., ProgramSystem], tmp_path: Path) -> None:
     system = program(f'open("got", "w").write(line); {WRITES}', "damping = 0.25")
     rolled(system)
