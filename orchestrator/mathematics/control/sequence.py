@@ -1,0 +1,143 @@
+"""A control with a known mean: values of rollouts, less what their disturbances explain of them.
+
+| symbol | name       | meaning                                                                     | shape   | unit   |
+|--------|------------|-----------------------------------------------------------------------------|---------|--------|
+| k      |            | disturbances                                                                | ()      | -      |
+| d      | `starts`   | start, as shares of the ranges, from -1 to 1                                | (n, p)  | -      |
+| t      | `scores`   | scores of the disturbances, see `basis`                                     | (n, k)  | -      |
+| x      | `x`        | value of a rollout                                                          | (n,)    | unit X |
+| g      |            | sum_i sum_j (beta_ij + sum_l d_l gamma_ijl) (H_ij(t_i) - p_ij)              | (n,)    | unit X |
+
+Given the start, E g = 0 exactly, because every H_ij has the known mean p_ij. With beta and gamma from earlier tests
+alone, x - g has, given the past, the mean of x; it is in [a - max g, b - min g] where x is in [a, b], and the largest
+and the least g of a start are sums over the disturbances of the extremes at the knots. Nothing about g has to be true:
+a bad one costs variance, and never validity.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..gp.kernels import Floats
+from .basis import Basis
+from .fit import MOST_ROLLOUTS, PENALTIES, RIDGE, Sums, roughness
+
+FIRST = 48
+"""Rollouts of the first fit; each further one is at twice as many."""
+MOST_FUNCTIONS = 200
+"""Of the disturbances in a fit: beyond it there are no products with the start."""
+
+
+@dataclass(frozen=True)
+class Control:
+    """One fitted control."""
+
+    bases: tuple[Basis, ...]
+    levels: tuple[Floats, ...]
+    """For each disturbance beta and gamma (1 + p, m): the part of g at a knot is that of the start (1, d)."""
+    residual: float
+    """Standard deviation that x - g had on rollouts of which the fit knew nothing; unit X."""
+    before: float
+    """The same of x, less what its start explains."""
+
+    def values(self, starts: Floats, scores: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return g, and the least and the largest g at each start, (n,) each."""
+        weights = np.hstack([np.ones((len(starts), 1)), starts])
+        g, low, high = (np.zeros(len(starts)) for _ in range(3))
+        for i, (basis, levels) in enumerate(zip(self.bases, self.levels, strict=True)):
+            at_knots = weights[:, : len(levels)] @ levels
+            mean = at_knots @ basis.means
+            g += np.sum(at_knots * basis.hats(scores[:, i]), axis=1) - mean
+            low += at_knots.min(axis=1) - mean
+            high += at_knots.max(axis=1) - mean
+        return g, low, high
+
+
+class ControlSequence:
+    """The controls of one value: each is fitted on the tests before those that it serves.
+
+    `ends` is the range of x. Rollouts enter in test order; between two fits the control stays.
+    """
+
+    def __init__(self, bases: Sequence[Basis], parameters: int, ends: tuple[float, float]) -> None:
+        self._bases, self._low, self._range = tuple(bases), ends[0], ends[1] - ends[0]
+        widths = [len(basis.knots) for basis in bases]
+        self._parameters = parameters
+        self._products = sum(widths) * (1 + parameters) <= MOST_FUNCTIONS
+        copies = 1 + parameters * self._products
+        self._width = self._of_start + sum(widths) * copies
+        self._penalty, self._ridge = np.zeros((self._width,) * 2), np.zeros((self._width,) * 2)
+        self._plain = self._of_start + sum(widths)
+        place = self._of_start
+        for _ in range(copies):
+            for width in widths:
+                block = slice(place, place + width)
+                self._penalty[block, block] = roughness(width)
+                place += width
+        self._ridge.flat[:: self._width + 1] = RIDGE
+        self._sums, self._half, self._next = Sums.empty(self._width), Sums.empty(self._width), FIRST
+        self.control: Control | None = None
+        """None before the first fit, and where the disturbances explain nothing."""
+
+    @property
+    def _of_start(self) -> int:
+        return 1 + 2 * self._parameters
+
+    @property
+    def rollouts(self) -> int:
+        """Number of rollouts so far that a fit rests on."""
+        return self._sums.count
+
+    def add(self, starts: Floats, scores: Floats, x: Floats) -> None:
+        """Take the rollouts of one test, and fit the control of the following ones where their number is reached."""
+        if self._sums.count >= MOST_ROLLOUTS:
+            return
+        self._sums = self._sums.plus(self._rows(starts, scores), (x - self._low) / self._range)
+        if not self._half.count and self._sums.count >= FIRST // 2:
+            self._half = self._sums
+        if self._sums.count >= self._next:
+            self._fit()
+            self._half, self._next = self._sums, 2 * self._sums.count
+
+    def _rows(self, starts: Floats, scores: Floats) -> Floats:
+        hats = np.hstack([basis.hats(scores[:, i]) for i, basis in enumerate(self._bases)])
+        products = [hats * starts[:, [l]] for l in range(self._parameters)] if self._products else []
+        return np.hstack([np.ones((len(starts), 1)), starts, starts**2, hats, *products])
+
+    def _fit(self) -> None:
+        first, second = self._half, self._sums.minus(self._half)
+        none = second.error(_padded(_sub(first, self._of_start), self._ridge, self._width))
+        best, chosen = none, None
+        for width in sorted({self._plain, self._width}):
+            for penalty in PENALTIES:
+                matrix = penalty * self._penalty + self._ridge
+                error = second.error(_padded(_sub(first, width), matrix, self._width))
+                if error < best:
+                    best, chosen = error, (width, penalty)
+        self.control = None
+        if chosen is not None:
+            width, penalty = chosen
+            beta = _padded(_sub(self._sums, width), penalty * self._penalty + self._ridge, self._width)
+            self.control = self._made(beta * self._range, best, none)
+
+    def _made(self, beta: Floats, error: float, before: float) -> Control:
+        widths = [len(basis.knots) for basis in self._bases]
+        copies = 1 + self._parameters * self._products
+        parts = beta[self._of_start :].reshape(copies, sum(widths))
+        ends = np.cumsum([0, *widths])
+        levels = tuple(parts[:, a:b] for a, b in zip(ends, ends[1:], strict=False))
+        return Control(self._bases, levels, error**0.5 * self._range, before**0.5 * self._range)
+
+
+def _sub(sums: Sums, width: int) -> Sums:
+    """Return the sums of the first functions alone."""
+    return Sums(sums.gram[:width, :width], sums.moment[:width], sums.square, sums.count)
+
+
+def _padded(sums: Sums, penalty: Floats, width: int) -> Floats:
+    """Return beta of the functions in the sums, and 0 for the others."""
+    found = np.zeros(width)
+    own = len(sums.moment)
+    found[:own] = sums.solved(penalty[:own, :own])
+    return found
