@@ -38,12 +38,26 @@ class Laws:
     """
 
     def __init__(self, laws: Sequence[Disturbance]) -> None:
-        self._inverses = [inverse(law) for law in laws]
+        self._laws, self._inverses = tuple(laws), [inverse(law) for law in laws]
 
     def values(self, seeds: ArrayLike) -> Floats:
         """Return the values (R, k) for rollouts with these seeds (R,): row r follows from its seed alone."""
         shares = open_shares(seeds, len(self._inverses))
         return np.column_stack([of(shares[:, k].copy()) for k, of in enumerate(self._inverses)])
+
+    def scores(self, seeds: ArrayLike) -> Floats:
+        """Return the scores (R, k) that the values follow from: normal quantiles of u, or the numbers of choices.
+
+        Their laws are known whatever law was declared, so that means of functions of them are exact.
+        """
+        from scipy.special import ndtri  # noqa: PLC0415  (as below)
+
+        shares = open_shares(seeds, len(self._inverses))
+        columns = [
+            ndtri(shares[:, k]) if law.choices is None else _place(law, shares[:, k]).astype(float)
+            for k, law in enumerate(self._laws)
+        ]
+        return np.column_stack(columns)
 
     @cached_property
     def middles(self) -> tuple[float, ...]:
@@ -75,7 +89,8 @@ def inverse(law: Disturbance) -> Inverse:
 
     """
     if law.choices is not None:
-        return _chosen(law.choices, law.probabilities or (1.0 / len(law.choices),) * len(law.choices))
+        values = np.array(law.choices)
+        return lambda shares: values[_place(law, shares)]
     low, high = (end if end is not None else sign * math.inf for end, sign in ((law.low, -1), (law.high, 1)))
     exact = _unbounded(law) if (low, high) == (-math.inf, math.inf) else _truncated(law, low, high)
 
@@ -119,7 +134,9 @@ def _of_scipy(law: Disturbance) -> Any:
     return found
 
 
-def _chosen(choices: Sequence[float], probabilities: Sequence[float]) -> Inverse:
-    values, ends = np.array(choices), np.cumsum(probabilities)
+def _place(law: Disturbance, shares: Floats) -> NDArray[np.intp]:
+    """Return the number of the choice for each share (n,)."""
+    ends = np.cumsum(law.shares)
     ends[-1] = 1.0
-    return lambda shares: values[np.searchsorted(ends, shares, side="right")]
+    found: NDArray[np.intp] = np.searchsorted(ends, shares, side="right")
+    return found

@@ -26,8 +26,10 @@ from ..mathematics.bounds.rigorous.confidence import Premises, mixture
 from ..mathematics.bounds.rigorous.method import RigorousMethod
 from ..mathematics.bounds.sample import SampleMethod, Terms
 from ..mathematics.bounds.scenario import Risk, ScenarioMethod
+from ..mathematics.control.sequence import Disturbed
 from ..mathematics.gp.kernels import Matern
 from ..mathematics.gp.lattice import Lattice
+from .controls import disturbed
 from .observation import by_requirement
 from .plan import UNBOUNDED, Plans, ProblemPlan, unsafe_below, value_range
 from .starts import Draws
@@ -72,7 +74,7 @@ def _one_method(plan: ProblemPlan, header: Header) -> OneMethod:
     problem = plan.problem
     match problem:
         case PaperProblem() | RigorousProblem() | KrigingProblem():
-            return kernel_method(plan)
+            return kernel_method(plan, header)
         # Of a risk without constants the method bounds the mean, and [BD] the variance: no risk is observed.
         case ScenarioProblem():
             constants = problem.linearised if isinstance(problem.linearised, Linearised) else None
@@ -101,8 +103,8 @@ def _scenario_risk(problem: ScenarioProblem) -> Risk:
     return "predictable" if problem.linearised == "past" else "linearised"
 
 
-def kernel_method(plan: ProblemPlan) -> PaperMethod | RigorousMethod | KrigingMethod:
-    """Return the method of a problem with a kernel; raises as `method`."""
+def kernel_method(plan: ProblemPlan, header: Header | None = None) -> PaperMethod | RigorousMethod | KrigingMethod:
+    """Return the method of a problem with a kernel; without a header it knows no disturbances. Raises as `method`."""
     problem = plan.problem
     if isinstance(problem, PaperProblem):
         parameters = PaperParameters(
@@ -118,7 +120,7 @@ def kernel_method(plan: ProblemPlan) -> PaperMethod | RigorousMethod | KrigingMe
         )
         return PaperMethod(_lattice(plan), kernel(plan, problem), parameters, refine=problem.refine)
     if isinstance(problem, KrigingProblem):
-        return _kriging_method(plan, problem)
+        return _kriging_method(plan, problem, None if header is None else disturbed(plan, header))
     assert isinstance(problem, RigorousProblem)
     premises = Premises(
         rkhs_norm=problem.rkhs_norm,
@@ -139,7 +141,7 @@ def kernel_method(plan: ProblemPlan) -> PaperMethod | RigorousMethod | KrigingMe
     )
 
 
-def _kriging_method(plan: ProblemPlan, problem: KrigingProblem) -> KrigingMethod:
+def _kriging_method(plan: ProblemPlan, problem: KrigingProblem, disturbed: Disturbed | None) -> KrigingMethod:
     low, high = value_range(plan)
     assert low is not None, "the campaign file is checked for a clip"
     assert high is not None
@@ -152,6 +154,7 @@ def _kriging_method(plan: ProblemPlan, problem: KrigingProblem) -> KrigingMethod
         # A guess is allowed: it decides how tight the bound is, and not whether it holds.
         spread=problem.spread or (constants.spread if constants else (high - low) / 10),
         budget=KrigingBudget(plan.budget, plan.replicates, problem.points or default),
+        disturbed=disturbed,
     )
 
 

@@ -82,6 +82,8 @@ class ProblemPlan:
     """Whether the space is ranges, and listed starts are points of the Sobol sequence in them."""
     deterministic: bool = False
     """Whether no rollout of its variants depends on the seed."""
+    controlled: bool = False
+    """Whether a control takes out what the declared disturbances explain."""
     requirements: tuple[str, ...] = ()
     """Names of the requirements that are claimed beside the whole specification, where starts are drawn."""
     until_counterexample: bool = False
@@ -302,6 +304,7 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
         gradual=most_kept(config.keep) is not None,
         box=isinstance(config.space, dict),
         deterministic=not set(variants) & set(spec.noisy),
+        controlled=bool(spec.disturbances and set(variants) & set(spec.noisy)) and config.control == "on",
         requirements=tuple(each.name for each in config.specifications),
         until_counterexample=config.until_counterexample,
         parts=tuple(parts),

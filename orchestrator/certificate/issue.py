@@ -69,7 +69,7 @@ def issue(
     results = with_clip(results, config)
     found_claims = without_rollouts(claimed.claims, config, plans, results)
     claimed = replace(claimed, claims=of_listed_starts(found_claims, bases(config), plans))
-    varied = sensitivity(claimed.claims, config, accounts, results)
+    varied = sensitivity(claimed.claims, header, accounts, results)
     if regions is not None:
         first, *others = claimed.claims
         claimed = replace(claimed, claims=(first, safe_share(regions.document, first), *others))

@@ -13,6 +13,7 @@ from ...schemas.file.composition import composes
 from ...schemas.file.config import CampaignConfig
 from ...schemas.file.problem_models import KernelProblem, RigorousProblem
 from ...schemas.result import certificate as document
+from ...schemas.result.facts import Header
 from ..campaign.clip import by_clip, floored, is_vacuous, least_risk, of_drawn_starts
 from ..campaign.methods import Methods, ProblemMethod, kernel_method
 from ..campaign.plan import Plans, ProblemPlan
@@ -63,20 +64,20 @@ def without_rollouts(
 
 def sensitivity(
     claims: Sequence[document.CertificateClaim],
-    config: CampaignConfig,
+    header: Header,
     accounts: Mapping[str, Account],
     results: Results,
 ) -> tuple[document.Sensitivity, ...] | None:
     """Return every claim from kernels with other constants, from the recorded tests; None if there is no such claim."""
     plans = {name: account.plan for name, account in accounts.items()}
-    numbered = [(k, basis) for k, basis in enumerate(bases(config)) if _from_kernels(basis, plans)]
+    numbered = [(k, basis) for k, basis in enumerate(bases(header.config)) if _from_kernels(basis, plans)]
     if not numbered:
         return None
 
     def bounds(constant: Constant, factor: float) -> list[float | None]:
         # From the recorded tests, in one step: a replay would take as long as the campaign, for the running extremes
         # alone.
-        varied = _varied(accounts, results, constant, factor)
+        varied = _varied(header, accounts, results, constant, factor)
         return [_bound_with(varied, basis, plans, claims[k]) for k, basis in numbered]
 
     # One constant after the other, because the methods of each have matrices as large as those of the campaign.
@@ -95,7 +96,9 @@ def _bound_with(varied: Varied, basis: Basis, plans: Plans, claim: document.Cert
     return floored(bound(basis, plans, varied.results, varied.methods), claim.sense, claim.by_clip)
 
 
-def _varied(accounts: Mapping[str, Account], results: Results, constant: Constant, factor: float) -> Varied:
+def _varied(
+    header: Header, accounts: Mapping[str, Account], results: Results, constant: Constant, factor: float
+) -> Varied:
     found: dict[str, document.ProblemResult] = {}
     methods: dict[str, ProblemMethod] = {}
     for name, account in accounts.items():
@@ -105,7 +108,7 @@ def _varied(accounts: Mapping[str, Account], results: Results, constant: Constan
         tests = account.closed
         # A kernel can be out of the range of the mathematics with another constant; then it gives no bound.
         try:
-            fresh = kernel_method(changed)
+            fresh = kernel_method(changed, header)
             again = fresh.bound_after(tests)
         except ValueError:
             continue

@@ -88,6 +88,12 @@ class Disturbance(Distributed, metaclass=Written):
         return self if (name, unit) == (self.name, self.unit) else self.model_copy(update={"name": name, "unit": unit})
 
     @property
+    def shares(self) -> tuple[float, ...]:
+        """The probability of each of its choices; empty without choices."""
+        count = len(self.choices or ())
+        return self.probabilities or (1.0 / count,) * count if count else ()
+
+    @property
     def words(self) -> str:
         """The law in words.
 
@@ -98,8 +104,8 @@ class Disturbance(Distributed, metaclass=Written):
         limits = [] if self.choices else [(key, getattr(self, key)) for key in ("low", "high")]
         keys = [(key, value) for key, value in [*self.described.items(), *limits] if value is not None]
         if self.choices is not None:
-            shares = self.probabilities or (1.0 / len(self.choices),) * len(self.choices)
-            return ", ".join(f"{value:g}{unit} ({share:g})" for value, share in zip(self.choices, shares, strict=True))
+            pairs = zip(self.choices, self.shares, strict=True)
+            return ", ".join(f"{value:g}{unit} ({share:g})" for value, share in pairs)
         if self.scipy is not None:
             keys = [*self.numbers.items(), *keys]
         bare = {"sigma", "shape", *self.numbers}

@@ -205,6 +205,11 @@ class CampaignKeys(CampaignSize):
         exclude_if=lambda laws: not laws,
         description="other laws of disturbances that the system declares; of a program, which declares none, all",
     )
+    control: Literal["on", "off"] = Field(
+        default="on",
+        exclude_if=lambda control: control == "on",
+        description="of declared disturbances: whether bounds of means take out what they explain of the values",
+    )
     space: Space = Field(description="D, all starting conditions")
     where: str | None = Field(
         default=None,

@@ -71,7 +71,7 @@ def normal_basis(knots: int = MOST_KNOTS) -> Basis:
 
 
 def choice_basis(probabilities: Sequence[float], most: int = MOST_KNOTS) -> Basis:
-    """Return the functions of the number of a value, 0, 1, ..., with these probabilities: one for each of at most `most`.
+    """Return the functions of the number of a value, 0, 1, ..., with these probabilities, at most `most` of them.
 
     Of more values the functions are linear in their number between equally spaced ones.
 

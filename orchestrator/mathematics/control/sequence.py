@@ -14,8 +14,9 @@ and the least g of a start are sums over the disturbances of the extremes at the
 a bad one costs variance, and never validity.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -23,8 +24,8 @@ from ..gp.kernels import Floats
 from .basis import Basis
 from .fit import MOST_ROLLOUTS, PENALTIES, RIDGE, Sums, roughness
 
-FIRST = 48
-"""Rollouts of the first fit; each further one is at twice as many."""
+MOST_FIRST, LEAST_FIRST, FIRST_SHARE = 48, 16, 16
+"""Rollouts of the first fit: a sixteenth of the budget, between these; each further fit is at twice as many."""
 MOST_FUNCTIONS = 200
 """Of the disturbances in a fit: beyond it there are no products with the start."""
 
@@ -54,13 +55,32 @@ class Control:
         return g, low, high
 
 
+def first_fit(rollouts: int) -> int:
+    """Return after how many of so many rollouts the first control is fitted.
+
+    >>> first_fit(100), first_fit(640), first_fit(6400)
+    (16, 40, 48)
+
+    """
+    return min(max(rollouts // FIRST_SHARE, LEAST_FIRST), MOST_FIRST)
+
+
+@dataclass(frozen=True)
+class Disturbed:
+    """The declared disturbances of the rollouts of one problem."""
+
+    bases: tuple[Basis, ...]
+    scores: Callable[[int], Floats]
+    """The scores of the rollouts of a test, by its number (b, k)."""
+
+
 class ControlSequence:
     """The controls of one value: each is fitted on the tests before those that it serves.
 
     `ends` is the range of x. Rollouts enter in test order; between two fits the control stays.
     """
 
-    def __init__(self, bases: Sequence[Basis], parameters: int, ends: tuple[float, float]) -> None:
+    def __init__(self, bases: Sequence[Basis], parameters: int, ends: tuple[float, float], first: int) -> None:
         self._bases, self._low, self._range = tuple(bases), ends[0], ends[1] - ends[0]
         widths = [len(basis.knots) for basis in bases]
         self._parameters = parameters
@@ -76,7 +96,10 @@ class ControlSequence:
                 self._penalty[block, block] = roughness(width)
                 place += width
         self._ridge.flat[:: self._width + 1] = RIDGE
-        self._sums, self._half, self._next = Sums.empty(self._width), Sums.empty(self._width), FIRST
+        self._sums, self._half, self._next = Sums.empty(self._width), Sums.empty(self._width), first
+        self._first = first
+        self.fits = False
+        """Whether there has been a fit."""
         self.control: Control | None = None
         """None before the first fit, and where the disturbances explain nothing."""
 
@@ -94,15 +117,15 @@ class ControlSequence:
         if self._sums.count >= MOST_ROLLOUTS:
             return
         self._sums = self._sums.plus(self._rows(starts, scores), (x - self._low) / self._range)
-        if not self._half.count and self._sums.count >= FIRST // 2:
+        if not self._half.count and self._sums.count >= self._first // 2:
             self._half = self._sums
         if self._sums.count >= self._next:
             self._fit()
-            self._half, self._next = self._sums, 2 * self._sums.count
+            self._half, self._next, self.fits = self._sums, 2 * self._sums.count, True
 
     def _rows(self, starts: Floats, scores: Floats) -> Floats:
         hats = np.hstack([basis.hats(scores[:, i]) for i, basis in enumerate(self._bases)])
-        products = [hats * starts[:, [l]] for l in range(self._parameters)] if self._products else []
+        products = [hats * starts[:, [axis]] for axis in range(self._parameters)] if self._products else []
         return np.hstack([np.ones((len(starts), 1)), starts, starts**2, hats, *products])
 
     def _fit(self) -> None:
@@ -126,7 +149,7 @@ class ControlSequence:
         copies = 1 + self._parameters * self._products
         parts = beta[self._of_start :].reshape(copies, sum(widths))
         ends = np.cumsum([0, *widths])
-        levels = tuple(parts[:, a:b] for a, b in zip(ends, ends[1:], strict=False))
+        levels = tuple(parts[:, a:b] for a, b in pairwise(ends.tolist()))
         return Control(self._bases, levels, error**0.5 * self._range, before**0.5 * self._range)
 
 

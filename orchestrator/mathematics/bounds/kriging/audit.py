@@ -97,12 +97,16 @@ class NormAudit:
         self._variance = spread**2
         self._guess = GuessedMean(premises)
         self._sum, self._count = 0.0, 0
+        self._largest = max(*map(abs, premises.ends), abs(premises.prior_mean))
         self._weights = np.zeros(len(planned))
         self._used, self._begun = planned > 0, False
         self.b_min = 0.0
 
-    def observe(self, point: int, values: Sequence[float]) -> None:
-        """Bet on the rollouts of one test, before they enter `means`, and raise `b_min`."""
+    def observe(self, point: int, values: Sequence[float], ends: tuple[float, float] | None = None) -> None:
+        """Bet on the rollouts of one test, before they enter `means`, and raise `b_min`; `ends` as for the bounds."""
+        if ends is not None:
+            self._guess.ends = ends
+            self._largest = max(self._largest, abs(ends[0]), abs(ends[1]))
         planned = self._weight(point)
         for value, (u, low, high) in zip(values, self._guess.before(values), strict=True):
             v = min(max(planned, low), high)
@@ -139,7 +143,6 @@ class NormAudit:
         w = self._weights
         moved = float(np.abs(w).sum())
         excess = self._sum - self._premises.cost - self._premises.prior_mean * float(w.sum())
-        largest = max(*map(abs, self._premises.ends), abs(self._premises.prior_mean))
-        excess -= EPSILON * (self._count + 100) * (1.0 + 12.0 * largest * moved)  # as in `kriging`
+        excess -= EPSILON * (self._count + 100) * (1.0 + 12.0 * self._largest * moved)  # as in `kriging`
         squared = float(w @ self._means.kernel @ w) + EPSILON * 1e3 * moved**2
         return max(0.0, excess / math.sqrt(squared)) if squared > 0 else 0.0

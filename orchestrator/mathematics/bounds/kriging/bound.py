@@ -21,6 +21,8 @@ sum_t v_t mu(x_t) >= S for all n with probability 1 - delta, and then for every 
 
     mu(d) >= m0 + kappa (S - m0 V) - B sqrt(1 - 2 kappa sum_i W_i k(d, x_i) + kappa^2 Q).
 
+With a control g X_t is the value less g, whose mean given the start is 0; its range is then [a - max g, b - min g].
+
 The least one over the nodes bounds the minimum of mu over the box without a union: were it false, then the bound of
 the cell in which the minimum is, one fixed cell, would be false [B82].
 """
@@ -76,11 +78,20 @@ class KrigingPremises:
 
 
 class GuessedMean:
-    """u_t: the mean of all rollouts before, and of one imaginary rollout of value m0, within [a, b]."""
+    """u_t: the mean of all rollouts before, and of one imaginary rollout of value m0, within the range of rollout t."""
 
     def __init__(self, premises: KrigingPremises) -> None:
         self._low, self._high = premises.ends
         self._sum, self._count = min(max(premises.prior_mean, self._low), self._high), 1
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The range of the next rollouts; a control changes it, as a function of the start and of earlier tests."""
+        return self._low, self._high
+
+    @ends.setter
+    def ends(self, ends: tuple[float, float]) -> None:
+        self._low, self._high = ends
 
     @property
     def value(self) -> float:
@@ -145,6 +156,7 @@ class KrigingBounds:
         self._least = np.zeros_like(cells.kernel(0))  # of sum W_i k(d, x_i), on the subgrid
         self._squared = np.zeros(m)
         self._count = 0
+        self._largest = max(abs(premises.ends[0]), abs(premises.ends[1]), premises.ends[1] - premises.ends[0])
         self.lower = np.full(m, premises.without_data)
 
     @property
@@ -161,13 +173,18 @@ class KrigingBounds:
         """
         return float(self.lower.min())
 
-    def observe(self, point: int, values: Sequence[float]) -> None:
+    def observe(self, point: int, values: Sequence[float], ends: tuple[float, float] | None = None) -> None:
         """Add the rollouts of one test at a point of the design, and raise the bounds; on an error nothing changes.
+
+        `ends` is the range that earlier tests and the start give these rollouts, by default that of every one.
 
         Raises:
             ValueError: a value is outside its range.
 
         """
+        if ends is not None:
+            self._guess.ends = ends
+            self._largest = max(self._largest, abs(ends[0]), abs(ends[1]), ends[1] - ends[0])
         total, planned = np.zeros(len(self._sum)), self._planned[:, point].copy()
         least, most = float(planned.min()), float(planned.max())
         # The guess and the limits are functions of the rollouts before, those of the same test included.
@@ -222,8 +239,7 @@ class KrigingBounds:
         a. Every step is rounded outward: a cancelled norm would claim too much.
         """
         m0, b = self.premises.prior_mean, self.premises.rkhs_norm
-        low, high = self.premises.ends
-        largest = max(abs(low), abs(high), high - low, abs(m0))
+        largest = max(self._largest, abs(m0))
         # |ln(1 + y)| is at most 3.2 |y| for y >= -CAP, so that no term is larger than 5 |v| times this.
         rounding = EPSILON * (self._count + 10) * 6.0 * largest * self._moved
         gain = self._sum - cost - m0 * self._weights.sum(axis=1) - rounding

@@ -13,16 +13,21 @@
 The design, its order and the weights follow from the budget, before the first rollout. There is no lower bound of
 max J: the rollouts are where the upper one needs them, and not where J is largest, so a lower bound would tend to
 something else than J* and no tolerance could end the campaign. The budget ends it, or the audit of B.
+
+With declared disturbances a control takes out what they explain: X - g has the mean of X, and less variance. The first
+rollouts serve its first fit, and no bound rests on them: the weights are planned for the noise that is left.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from .....schemas.values import Band, Bound, Observation, Proposal
+from ...control.sequence import ControlSequence, Disturbed, first_fit
 from ...gp.kernels import Floats, Matern
 from ...gp.lattice import Lattice
 from ...gp.points import point_at
@@ -34,6 +39,11 @@ from .cells import NodeCells, between
 from .design import plan_design
 from .forecast import PlannedBounds
 from .weights import WeightTerms, plan_weights
+
+SLACK = 1e-12
+"""Of a range, by which sums of a control may be rounded."""
+SPREAD_MARGIN = 1.2
+"""A larger spread loses less than one that is too small."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +75,14 @@ class KrigingMethod(Method):
     """
 
     def __init__(
-        self, lattice: Lattice, kernel: Matern, premises: KrigingPremises, *, spread: float, budget: KrigingBudget
+        self,
+        lattice: Lattice,
+        kernel: Matern,
+        premises: KrigingPremises,
+        *,
+        spread: float,
+        budget: KrigingBudget,
+        disturbed: Disturbed | None = None,
     ) -> None:
         if not (math.isfinite(spread) and spread > 0):
             raise ValueError(f"spread must be a positive finite number, not {spread!r}")
@@ -82,6 +99,15 @@ class KrigingMethod(Method):
         self._means = PointMeans(self._inner, self._premises, spread)
         self._audit = NormAudit(self._means, self._counts, self._premises, spread)
         self._tests, self.beyond_ball, self._upper = 0, False, -self._premises.without_data
+        self._disturbed, self._training = disturbed, _Training([])
+        if disturbed is not None:
+            middle, half = (
+                0.5 * (self._points.max(axis=0) + self._points.min(axis=0)),
+                0.5 * np.ptp(self._points, axis=0),
+            )
+            self._shares = (self._points - middle) / np.where(half > 0, half, 1.0)
+            first = first_fit(budget.tests * budget.replicates)
+            self._controls = ControlSequence(disturbed.bases, lattice.dimension, self._premises.ends, first)
 
     @cached_property
     def _bounds(self) -> KrigingBounds:
@@ -197,20 +223,66 @@ class KrigingMethod(Method):
                 raise ValueError("a test needs at least one rollout")
             check_values(values, self._premises.ends)
         for node, values in tests:
-            point = self._places[node]
-            self._audit.observe(point, values)  # before the means: its bets are functions of the tests before
-            self._bounds.observe(point, values)
-            self._means.add(point, values)
+            if self._disturbed is None:
+                self._bet(self._places[node], values)
+            else:
+                self._bet_without_disturbances(self._places[node], np.array(values), self._disturbed)
             self._tests += 1
-            found = self._bounds.minimum()
-            # mu exceeds m0 + B nowhere, so that a bound there contradicts B as well.
-            self.beyond_ball = self.beyond_ball or found >= self._premises.prior_mean + self._premises.rkhs_norm
-            if not self._is_refuted:  # false premises prove nothing: the bound from before is kept
-                self._upper = -found
+
+    def _bet(self, point: int, values: Sequence[float], ends: tuple[float, float] | None = None) -> None:
+        """Bet on the rollouts of one test; with a control `values` are X - g, in `ends`."""
+        self._audit.observe(point, values, ends)  # before the means: its bets are functions of the tests before
+        self._bounds.observe(point, values, ends)
+        self._means.add(point, values)
+        found = self._bounds.minimum()
+        # mu exceeds m0 + B nowhere, so that a bound there contradicts B as well.
+        self.beyond_ball = self.beyond_ball or found >= self._premises.prior_mean + self._premises.rkhs_norm
+        if not self._is_refuted:  # false premises prove nothing: the bound from before is kept
+            self._upper = -found
+
+    def _bet_without_disturbances(self, point: int, x: Floats, disturbed: Disturbed) -> None:
+        """Bet on what the disturbances leave of the rollouts of one test, and then show them to the control."""
+        starts, scores = np.repeat(self._shares[[point]], len(x), axis=0), disturbed.scores(self._tests)
+        control, low, high = self._controls.control, *self._premises.ends
+        if not self._controls.fits:
+            self._training.rollouts.append((point, starts, scores, x))
+            self._means.add(point, x.tolist())
+        elif control is None:
+            self._bet(point, x.tolist())
+        else:
+            g, least, most = control.values(starts, scores)
+            slack = SLACK * (high - low)
+            self._bet(point, (x - g).tolist(), (low - float(most[0]) - slack, high - float(least[0]) + slack))
+        before = self._controls.fits
+        self._controls.add(starts, scores, x)
+        if self._controls.fits and not before:
+            self._begin()
+
+    def _begin(self) -> None:
+        """Plan for the rollouts after the first fit, whose noise is what the control has left."""
+        control = self._controls.control
+        if control is not None:
+            # Three digits: the plan of the weights is then the same on every CPU.
+            self._spread = float(f"{SPREAD_MARGIN * control.residual:.3g}")
+        self._means = PointMeans(self._inner, self._premises, self._spread)
+        for point, starts, scores, x in self._training.rollouts:
+            self._counts[point] = max(self._counts[point] - len(x), 0.0)
+            known = x if control is None else x - control.values(starts, scores)[0]
+            self._means.add(point, known.tolist())
+        self._audit = NormAudit(self._means, self._counts, self._premises, self._spread)
+        self._training.rollouts.clear()
+        self.__dict__.pop("_bounds", None)  # a forecast may have planned already
 
     @property
     def _is_refuted(self) -> bool:
         return self.beyond_ball or self.b_min > self._premises.rkhs_norm
+
+
+class _Training(NamedTuple):
+    """The rollouts before the first fit of a control."""
+
+    rollouts: list[tuple[int, Floats, Floats, Floats]]
+    """Point, start, scores and X of those of each test."""
 
 
 def _weight_terms(premises: KrigingPremises, spread: float) -> WeightTerms:

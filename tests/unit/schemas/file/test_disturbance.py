@@ -45,7 +45,6 @@ REFUSED: list[tuple[Callable[[], object], str]] = [
     (lambda: Disturbance(distribution="triangular", mode=1.0), "low: required by distribution 'triangular'"),
     (lambda: Disturbance(low=0.0, high=1.0, numbers={"loc": 1.0}), "numbers: they belong to scipy"),
     (lambda: Disturbance(distribution="normal", mean=0.0, sd=1.0, scale=3.0), "scale: belongs to distribution"),
-    (lambda: Disturbance(0.0, 1.0), "give the fields of Disturbance by their names"),  # type: ignore[call-arg]
 ]
 
 
