@@ -2,13 +2,15 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from .batch import BatchRequest
-from .draws import Laws
 from .ids import RolloutId
 from .rollout import RolloutRequest, WithinBatch
 from .system import OptionValue, SystemSpec
+
+if TYPE_CHECKING:
+    from .batch import BatchRequest
+    from .draws.laws import Laws
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +24,7 @@ class RequestTemplate:
     visual: bool
     campaign: str
     config_sha256: str
-    laws: Laws | None = field(default=None, compare=False)
+    laws: "Laws | None" = field(default=None, compare=False)
     """Of the disturbances, for a system that has some."""
 
     @classmethod
@@ -39,7 +41,12 @@ class RequestTemplate:
     ) -> "RequestTemplate":
         """Fill in the system's defaults; without `campaign` and `config_sha256` the rollouts belong to none."""
         defaults = {option.name: option.default for option in spec.options}
-        identity, laws = spec_sha256 or spec.digest, Laws(spec.disturbances) if spec.disturbances else None
+        laws = None
+        if spec.disturbances:
+            from .draws.laws import Laws  # noqa: PLC0415  (late, as numpy below: `status` and `list` need no request)
+
+            laws = Laws(spec.disturbances)
+        identity = spec_sha256 or spec.digest
         return cls(spec, identity, defaults | dict(options), horizon, visual, campaign, config_sha256, laws)
 
     def common(self, rollout: RolloutId) -> dict[str, Any]:
@@ -84,8 +91,10 @@ class RequestTemplate:
             within=within,
         )
 
-    def batch(self, first: RolloutId, starts: Sequence[Sequence[float]], seeds: Sequence[int]) -> BatchRequest:
+    def batch(self, first: RolloutId, starts: Sequence[Sequence[float]], seeds: Sequence[int]) -> "BatchRequest":
         """Return the request for a batch, from `first` on: tests with these starts (k, p), a seed a rollout."""
+        from .batch import BatchRequest  # noqa: PLC0415
+
         common = self.common(first)
         return BatchRequest(
             **common,

@@ -4,6 +4,8 @@ import math
 from collections.abc import Mapping
 from functools import partial
 
+import numpy as np
+
 from ...schemas.errors import CampaignError
 from ...schemas.file.drawn_claims import DrawnClaim
 from ...schemas.file.problem_models import (
@@ -15,6 +17,7 @@ from ...schemas.file.problem_models import (
     SampleProblem,
     ScenarioProblem,
 )
+from ...schemas.ids import RolloutId
 from ...schemas.result.facts import Header
 from ..mathematics.bounds.joint import JointMethod
 from ..mathematics.bounds.kriging.bound import KrigingPremises
@@ -26,12 +29,13 @@ from ..mathematics.bounds.rigorous.confidence import Premises, mixture
 from ..mathematics.bounds.rigorous.method import RigorousMethod
 from ..mathematics.bounds.sample import SampleMethod, Terms
 from ..mathematics.bounds.scenario import Risk, ScenarioMethod
-from ..mathematics.control.sequence import Disturbed
+from ..mathematics.control.basis import MOST_KNOTS, Basis, choice_basis, normal_basis
+from ..mathematics.control.sequence import MOST_FUNCTIONS, Disturbed
 from ..mathematics.gp.kernels import Matern
 from ..mathematics.gp.lattice import Lattice
-from .controls import disturbed
 from .observation import by_requirement
 from .plan import UNBOUNDED, Plans, ProblemPlan, unsafe_below, value_range
+from .seeds import Floats, rollout_seeds
 from .starts import Draws
 
 PartMethod = RigorousMethod | KrigingMethod | ScenarioMethod
@@ -41,6 +45,8 @@ OneMethod = PaperMethod | PartMethod | SampleMethod
 ProblemMethod = OneMethod | JointMethod[PartMethod]
 Methods = Mapping[str, ProblemMethod]
 """The method of each problem and of each requirement with one of its own, by the key of its plan."""
+AT_ONCE = 2**12
+"""Rollouts whose scores are computed together: of one they take as long as of a hundred."""
 
 
 def methods(plans: Plans, header: Header) -> Methods:
@@ -120,7 +126,7 @@ def kernel_method(plan: ProblemPlan, header: Header | None = None) -> PaperMetho
         )
         return PaperMethod(_lattice(plan), kernel(plan, problem), parameters, refine=problem.refine)
     if isinstance(problem, KrigingProblem):
-        return _kriging_method(plan, problem, None if header is None else disturbed(plan, header))
+        return _kriging_method(plan, problem, None if header is None else _disturbed(plan, header))
     assert isinstance(problem, RigorousProblem)
     premises = Premises(
         rkhs_norm=problem.rkhs_norm,
@@ -201,3 +207,38 @@ def _mixture(problem: RigorousProblem, noise: float) -> tuple[tuple[float, float
     if isinstance(problem.regulariser, tuple):
         return tuple((each.value, each.weight) for each in problem.regulariser)
     return ((problem.regulariser, 1.0),)
+
+
+def _disturbed(plan: ProblemPlan, header: Header) -> Disturbed | None:
+    """Return the disturbances of the rollouts of a problem; None where no control is asked for, or possible."""
+    if not plan.controlled:
+        return None
+    laws = header.spec.disturbances
+    knots = min(max(MOST_FUNCTIONS // len(laws), 2), MOST_KNOTS)
+    bases: list[Basis] = [choice_basis(law.shares, knots) if law.choices else normal_basis(knots) for law in laws]
+    return Disturbed(tuple(bases), _Scores(plan, header).of)
+
+
+class _Scores:
+    """The scores of the rollouts of a problem, by the number of their test; they follow from the seeds."""
+
+    def __init__(self, plan: ProblemPlan, header: Header) -> None:
+        self._plan, self._header, self._laws = plan, header, header.template.laws
+        self._tests = max(AT_ONCE // plan.replicates, 1)
+        self._variant = max(set(plan.variants) & set(header.spec.noisy))
+        self._block: tuple[int, Floats] = (-1, np.empty(0))
+
+    def of(self, test: int) -> Floats:
+        """Return the scores of the replicates of a test (b, k)."""
+        block, place = divmod(test, self._tests)
+        if self._block[0] != block:
+            self._block = block, self._drawn(block * self._tests)
+        found: Floats = self._block[1][place]
+        return found
+
+    def _drawn(self, first: int) -> Floats:
+        assert self._laws is not None, "a plan without disturbances is not controlled"
+        # Both variants of a pair have the same seeds, and so the same disturbances.
+        rollout = RolloutId(self._plan.name, first, self._variant, 0)
+        seeds = rollout_seeds(self._header, rollout, self._tests, self._plan.replicates)
+        return self._laws.scores(seeds).reshape(self._tests, self._plan.replicates, -1)

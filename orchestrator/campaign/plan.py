@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from ...schemas.batch import MOST_NUMBERS
-from ...schemas.distributions import to_digits
+from ...schemas.draws.distributions import to_digits
 from ...schemas.errors import CampaignError
 from ...schemas.file.config import CampaignConfig
 from ...schemas.file.drawn_claims import SAMPLED, DrawnClaim

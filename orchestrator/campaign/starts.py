@@ -8,7 +8,7 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
-from ...schemas.distributions import to_digits, truncated
+from ...schemas.draws.distributions import to_digits, truncated
 from ...schemas.errors import CampaignError
 from ...schemas.file.parameters import parameter_ranges
 from ...schemas.file.space import Box, Range, StartTable

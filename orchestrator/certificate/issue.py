@@ -18,7 +18,7 @@ from .assumptions.audit import ClosingResults, assumptions
 from .assumptions.opinions import workers_honest
 from .claims import Results, claims, of_listed_starts
 from .closing_checks import recheck, spot_check
-from .problem_results import result
+from .problem_results import result, with_controls
 from .regions import CampaignRegions, campaign_regions, safe_share
 from .sensitivity import sensitivity, with_clip, without_rollouts
 
@@ -69,6 +69,7 @@ def issue(
     results = with_clip(results, config)
     found_claims = without_rollouts(claimed.claims, config, plans, results)
     claimed = replace(claimed, claims=of_listed_starts(found_claims, bases(config), plans))
+    results = with_controls(results, ledger.methods, header)
     varied = sensitivity(claimed.claims, header, accounts, results)
     if regions is not None:
         first, *others = claimed.claims

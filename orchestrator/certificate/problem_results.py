@@ -1,12 +1,16 @@
 """Construction of the result of a stopped problem: its bound, probability and parameters."""
 
+from collections.abc import Mapping
 from typing import Literal
 
 from ...schemas.file.objectives import Sense
 from ...schemas.file.problem_models import Linearised, PaperProblem, RigorousProblem, ScenarioProblem
 from ...schemas.result import certificate as document
+from ...schemas.result.facts import Header
+from ..campaign.methods import Methods, ProblemMethod
 from ..campaign.plan import ProblemPlan
 from ..campaign.series import Account
+from ..mathematics.bounds.kriging.method import KrigingMethod
 from ..mathematics.bounds.paper.formulas import Tail, mills_probability
 from ..mathematics.bounds.rounding import decimal, floor_to_step, round_down, round_up
 from .words.bound_text import clip_words
@@ -48,6 +52,40 @@ def result(account: Account) -> document.ProblemResult:
         last_F=proposal.F,
         requirement=plan.requirement,
     )
+
+
+def with_controls(
+    results: Mapping[str, document.ProblemResult], methods: Methods, header: Header
+) -> dict[str, document.ProblemResult]:
+    """Return the results with the controls of their methods."""
+    return {
+        name: each.model_copy(update={"control": _control(methods[name], header)}) for name, each in results.items()
+    }
+
+
+def _control(method: ProblemMethod, header: Header) -> document.ControlResult | None:
+    if not isinstance(method, KrigingMethod) or method.control is None:
+        return None
+    control, before_fit = method.control
+    return document.ControlResult(
+        explained=_digits(max(1.0 - (control.residual / control.before) ** 2, 0.0)),
+        standard_deviation=_digits(control.residual),
+        before_fit=before_fit,
+        disturbances=tuple(
+            document.ControlOfDisturbance(
+                name=law.name,
+                knots=tuple(basis.knots.tolist()),
+                # X is minus the J of which the facts speak for a maximum; it has the sense of the robustness.
+                levels=tuple(tuple(map(_digits, row)) for row in levels.tolist()),
+            )
+            for law, basis, levels in zip(header.spec.disturbances, control.bases, control.levels, strict=True)
+        ),
+    )
+
+
+def _digits(value: float) -> float:
+    """Return a number with six digits, of which every machine finds the same."""
+    return float(f"{value:.6g}")
 
 
 def in_sense(sense: Sense, upper: float) -> float:

@@ -11,7 +11,7 @@ from typing import Literal
 from ...schemas.file.bases import Basis, bases
 from ...schemas.file.composition import composes
 from ...schemas.file.config import CampaignConfig
-from ...schemas.file.problem_models import KernelProblem, RigorousProblem
+from ...schemas.file.problem_models import KernelProblem, KrigingProblem, RigorousProblem
 from ...schemas.result import certificate as document
 from ...schemas.result.facts import Header
 from ..campaign.clip import by_clip, floored, is_vacuous, least_risk, of_drawn_starts
@@ -22,10 +22,12 @@ from ..mathematics.bounds.rounding import decimal
 from .claims import Results, bound
 from .problem_results import in_sense
 
-Constant = Literal["rkhs_norm", "length_scale"]
+Constant = Literal["rkhs_norm", "length_scale", "control"]
 
 VARIATIONS: tuple[tuple[Constant, float], ...] = (("rkhs_norm", 2.0), ("rkhs_norm", 4.0), ("length_scale", 0.5))
 """The constants that a claim is computed again with, in the order of the certificate."""
+WITHOUT_CONTROL: tuple[Constant, float] = ("control", 0.0)
+"""The last variation, where a control is used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,11 +83,13 @@ def sensitivity(
         return [_bound_with(varied, basis, plans, claims[k]) for k, basis in numbered]
 
     # One constant after the other, because the methods of each have matrices as large as those of the campaign.
-    found = {each: bounds(*each) for each in VARIATIONS}
+    controlled = any(plan.controlled and isinstance(plan.problem, KrigingProblem) for plan in plans.values())
+    variations = (*VARIATIONS, WITHOUT_CONTROL) if controlled else VARIATIONS
+    found = {each: bounds(*each) for each in variations}
     return tuple(
         document.Sensitivity(claim=k, constant=constant, factor=factor, bound=found[constant, factor][place])
         for place, (k, _) in enumerate(numbered)
-        for constant, factor in VARIATIONS
+        for constant, factor in variations
     )
 
 
@@ -120,10 +124,12 @@ def _varied(
 
 
 def _with_constant(plan: ProblemPlan, constant: Constant, factor: float) -> ProblemPlan | None:
-    """Return a plan with one constant multiplied; None for a problem without a kernel."""
+    """Return a plan with one constant multiplied, or without a control; None for a problem without a kernel."""
     problem = plan.problem
     if not isinstance(problem, KernelProblem):
         return None
+    if constant == "control":
+        return replace(plan, controlled=False)
     if constant == "rkhs_norm":
         return replace(plan, problem=problem.model_copy(update={"rkhs_norm": factor * problem.rkhs_norm}))
     kernel = problem.kernel.scaled(factor)

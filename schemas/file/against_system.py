@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 
-from ..draws import check_law
 from ..errors import CampaignError, DefinitionError, meant, nearest_name
 from ..system import SystemSpec
 from .config import CampaignConfig
@@ -80,6 +79,8 @@ def _disturbance_faults(config: CampaignConfig, spec: SystemSpec) -> Iterator[st
             yield f"disturbances.{name}: unknown disturbance; {meant(name, known)}{listed}"
         elif law.unit not in ("", known[name].unit):
             yield f"disturbances.{name}.unit: {law.unit!r} is not allowed: {spec.name} takes {known[name].unit!r}"
+    from ..draws.laws import check_law  # noqa: PLC0415  (late: few commands need numpy)
+
     for law in as_in_campaign(spec.declared, config).disturbances:
         try:
             check_law(law)

@@ -89,6 +89,27 @@ class Rollouts(Model):
     true: int
 
 
+class ControlOfDisturbance(Model):
+    """What the last control takes from a rollout for one disturbance, before the mean of that is subtracted.
+
+    It is linear in the score between `knots`, and constant beyond. `levels` has its values at the knots: first those in
+    the middle of the ranges, then for each parameter what is added at its upper end and subtracted at its lower one.
+    """
+
+    name: str
+    knots: tuple[float, ...] = Field(description="normal quantiles of the disturbance, or numbers of its choices")
+    levels: tuple[tuple[float, ...], ...]
+
+
+class ControlResult(Model):
+    """The control by declared disturbances of one problem: it lowers the variance of rollouts, and changes no mean."""
+
+    explained: float = Field(description="share of the variance of a rollout that it takes out")
+    standard_deviation: float = Field(description="that is left, of rollouts that its fit did not have")
+    before_fit: int = Field(description="rollouts before the first fit, on which no bound rests")
+    disturbances: tuple[ControlOfDisturbance, ...]
+
+
 class ProblemResult(Model):
     """The bound of one problem; `bound` is a lower one for sense min, an upper one for sense max."""
 
@@ -108,6 +129,11 @@ class ProblemResult(Model):
     parameters: dict[str, object]
     last_F: float | None  # noqa: N815  (the paper's symbol)
     by_clip: float | None = Field(default=None, description="what the clip alone proves of the objective")
+    control: ControlResult | None = Field(
+        default=None,
+        exclude_if=lambda control: control is None,
+        description="by declared disturbances; null where none explains anything, or none is asked for",
+    )
     requirement: str | None = Field(
         default=None,
         exclude_if=lambda name: name is None,
@@ -279,13 +305,14 @@ class Recheck(Model):
 
 
 class Sensitivity(Model):
-    """A claim with one constant of its kernel problems multiplied by `factor`, from the same tests.
+    """A claim with one constant of its kernel problems multiplied by `factor`, or without a control (0), from the same
+    tests.
 
     It is what the last test proves, without the bounds after earlier tests, which may have been stronger.
     """
 
     claim: int = Field(ge=0, description="number of the claim, from 0")
-    constant: Literal["rkhs_norm", "length_scale"]
+    constant: Literal["rkhs_norm", "length_scale", "control"]
     factor: float
     bound: float | None = Field(
         description="of the claim's quantity, with its sense and probability; null if the data refute that constant, "

@@ -1,9 +1,9 @@
-"""Random numbers of many rollouts at once for simulators, each from its own seed; see `schemas.counter`."""
+"""Random numbers of many rollouts at once for simulators, each from its own seed; see `schemas.draws.counter`."""
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...schemas.counter import Floats, uniform
+from ...schemas.draws.counter import Floats, uniform
 
 __all__ = ["normal", "uniform"]
 

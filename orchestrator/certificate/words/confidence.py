@@ -15,6 +15,7 @@ CHANGES = {
     ("rkhs_norm", 2.0): "With a norm bound B twice as large the same tests prove",
     ("rkhs_norm", 4.0): "with one four times as large",
     ("length_scale", 0.5): "with half the length scale",
+    ("control", 0.0): "without the control of disturbances",
 }
 """Variations of the sensitivity, in the order of the sentence."""
 IN_UNIT: tuple[Quantity, ...] = ("rho_star", "robustness", "expected_robustness")

@@ -77,6 +77,7 @@ VACUOUS = "It shows nothing: the clip alone proves it."
 CERTAIN = "It shows nothing: every probability is at most 1."
 NO_SHARE = "It shows nothing: no start is certified safe."
 VARIED = {("rkhs_norm", 2.0): "2 B", ("rkhs_norm", 4.0): "4 B", ("length_scale", 0.5): "half the length scale"}
+VARIED |= {("control", 0.0): "no control of disturbances"}
 """Names of the variations of the sensitivity."""
 
 
@@ -226,10 +227,19 @@ def notes(predicate: Predicate, number: int) -> tuple[str, ...]:
         both = ", in both problems" if composes(claim.rule) else ""
         values = "; ".join(f"with {VARIED[row.constant, row.factor]} {_varied(claim, row.bound)}" for row in rows)
         found.append(f"The same tests{both}: {values}.")
+    found += [control_words(each) for each in predicate.problems if number == 0 and each.control]
     most = predicate.spot_check and predicate.spot_check.most_starts
     if number == 0 and most and not is_irreproducible(claim):
         found.append(_sentence_on_most_starts(most))
     return tuple(found)
+
+
+def control_words(problem: ProblemResult) -> str:
+    """Return what a control has taken out, in a sentence; empty for a problem without one."""
+    if problem.control is None:
+        return ""
+    share = value_text(round(100.0 * problem.control.explained, 1))
+    return f"Declared disturbances explain {share} % of the variance of a rollout, which {problem.name} is bounded without."
 
 
 def is_irreproducible(claim: CertificateClaim) -> bool:

@@ -24,7 +24,7 @@ from ..gp.kernels import Floats
 from .basis import Basis
 from .fit import MOST_ROLLOUTS, PENALTIES, RIDGE, Sums, roughness
 
-MOST_FIRST, LEAST_FIRST, FIRST_SHARE = 48, 16, 16
+MOST_FIRST, LEAST_FIRST, FIRST_SHARE = 64, 32, 16
 """Rollouts of the first fit: a sixteenth of the budget, between these; each further fit is at twice as many."""
 MOST_FUNCTIONS = 200
 """Of the disturbances in a fit: beyond it there are no products with the start."""
@@ -59,7 +59,7 @@ def first_fit(rollouts: int) -> int:
     """Return after how many of so many rollouts the first control is fitted.
 
     >>> first_fit(100), first_fit(640), first_fit(6400)
-    (16, 40, 48)
+    (32, 40, 64)
 
     """
     return min(max(rollouts // FIRST_SHARE, LEAST_FIRST), MOST_FIRST)
@@ -98,7 +98,7 @@ class ControlSequence:
         self._ridge.flat[:: self._width + 1] = RIDGE
         self._sums, self._half, self._next = Sums.empty(self._width), Sums.empty(self._width), first
         self._first = first
-        self.fits = False
+        self.has_begun = False
         """Whether there has been a fit."""
         self.control: Control | None = None
         """None before the first fit, and where the disturbances explain nothing."""
@@ -121,7 +121,7 @@ class ControlSequence:
             self._half = self._sums
         if self._sums.count >= self._next:
             self._fit()
-            self._half, self._next, self.fits = self._sums, 2 * self._sums.count, True
+            self._half, self._next, self.has_begun = self._sums, 2 * self._sums.count, True
 
     def _rows(self, starts: Floats, scores: Floats) -> Floats:
         hats = np.hstack([basis.hats(scores[:, i]) for i, basis in enumerate(self._bases)])

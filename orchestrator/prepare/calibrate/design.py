@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ....schemas.distributions import to_digits
+from ....schemas.draws.distributions import to_digits
 from ....schemas.errors import CampaignError
 from ....schemas.file.config import CampaignConfig
 from ....schemas.file.parameters import parameter_ranges

@@ -1,4 +1,4 @@
-"""The finding about declared disturbances: each has an effect, and nothing else is random than the system says."""
+"""The finding about declared disturbances, apart from `repeats`, whose rollouts differ in their seeds alone."""
 
 from ....schemas.system_check import Measured
 from .findings import SystemFinding, failed, passed, warning

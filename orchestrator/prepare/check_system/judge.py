@@ -81,8 +81,9 @@ def judge(measurements: Measurements) -> tuple[SystemFinding, ...]:
     """Return one finding for each check; a check that nothing was measured for is skipped."""
     found: dict[str, SystemFinding] = {}
     for name, check in _CHECKS.items():
-        none = "the system declares none" if name == "disturbances" and not measurements.spec.disturbances else ""
-        finding = check(measurements) or SystemFinding(name, "skipped", none or "no rollout was measured for it")
+        if name == "disturbances" and not measurements.spec.disturbances:
+            continue
+        finding = check(measurements) or SystemFinding(name, "skipped", "no rollout was measured for it")
         if name in _COMPARING and found["repeatable"].status == "failed":
             finding = SystemFinding(name, "skipped", "equal rollouts differ already")
         if measurements.program and finding.remedy:

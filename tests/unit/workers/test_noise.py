@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 import perfbound as pb
-from perfbound.schemas.counter import _philox
+from perfbound.schemas.draws.counter import _philox
 from perfbound.workers.systems import noise
 
 ANSWERS = [

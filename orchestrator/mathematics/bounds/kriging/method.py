@@ -21,29 +21,20 @@ rollouts serve its first fit, and no bound rests on them: the weights are planne
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
 from .....schemas.values import Band, Bound, Observation, Proposal
-from ...control.sequence import ControlSequence, Disturbed, first_fit
+from ...control.sequence import Control, Disturbed
 from ...gp.kernels import Floats, Matern
 from ...gp.lattice import Lattice
 from ...gp.points import point_at
 from ...gp.radial import Radial
 from ..method import Integers, Method
-from .audit import NormAudit, PointMeans
-from .bound import GuessedMean, KrigingBounds, KrigingPremises, check_values
-from .cells import NodeCells, between
+from .bets import Bets, ControlledBets, Kernels
+from .bound import KrigingPremises, check_values
 from .design import plan_design
 from .forecast import PlannedBounds
-from .weights import WeightTerms, plan_weights
-
-SLACK = 1e-12
-"""Of a range, by which sums of a control may be rounded."""
-SPREAD_MARGIN = 1.2
-"""A larger spread loses less than one that is too small."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,36 +77,20 @@ class KrigingMethod(Method):
     ) -> None:
         if not (math.isfinite(spread) and spread > 0):
             raise ValueError(f"spread must be a positive finite number, not {spread!r}")
-        self._radial, self._spread = Radial(kernel), spread
         self.lattice, self.design = lattice, plan_design(lattice, budget.tests, budget.points)
         low, high = premises.ends
         # From here on everything is about X: J is maximised, so its mirror is bounded from below.
         self._premises = KrigingPremises(premises.rkhs_norm, -premises.prior_mean, (-high, -low), premises.delta)
-        self._points = lattice.nodes[list(self.design.nodes)]
         self._places = {node: i for i, node in enumerate(self.design.nodes)}
-        self._to_nodes = between(self._radial, lattice.nodes, self._points)
-        self._inner = between(self._radial, self._points, self._points)
-        self._counts = np.array(self.design.counts, dtype=np.float64) * budget.replicates
-        self._means = PointMeans(self._inner, self._premises, spread)
-        self._audit = NormAudit(self._means, self._counts, self._premises, spread)
-        self._tests, self.beyond_ball, self._upper = 0, False, -self._premises.without_data
-        self._disturbed, self._training = disturbed, _Training([])
-        if disturbed is not None:
-            middle, half = (
-                0.5 * (self._points.max(axis=0) + self._points.min(axis=0)),
-                0.5 * np.ptp(self._points, axis=0),
-            )
-            self._shares = (self._points - middle) / np.where(half > 0, half, 1.0)
-            first = first_fit(budget.tests * budget.replicates)
-            self._controls = ControlSequence(disturbed.bases, lattice.dimension, self._premises.ends, first)
+        self._kernels = Kernels.of(lattice, Radial(kernel), lattice.nodes[list(self.design.nodes)])
+        counts = np.array(self.design.counts, dtype=np.float64) * budget.replicates
+        bets = Bets(self._kernels, self._premises, counts, spread)
+        self._betting = bets if disturbed is None else ControlledBets(bets, disturbed)
+        self._tests = 0
 
-    @cached_property
-    def _bounds(self) -> KrigingBounds:
-        # The plan of the weights takes a second, and no proposal waits for it: the workers have their tests by then.
-        terms = _weight_terms(self._premises, self._spread)
-        planned = plan_weights(self._to_nodes, self._inner, self._counts, terms)
-        cells = NodeCells(self.lattice, self._radial, self._points)
-        return KrigingBounds(planned, self._inner, cells, self._premises, error=self._radial.error)
+    @property
+    def _bets(self) -> Bets:
+        return self._betting if isinstance(self._betting, Bets) else self._betting.bets
 
     @property
     def size(self) -> int:
@@ -130,16 +105,29 @@ class KrigingMethod(Method):
     @property
     def b_min(self) -> float:
         """The norm that the rollouts need, by the audit, at a failure probability delta of its own."""
-        return self._audit.b_min
+        return self._bets.b_min
+
+    @property
+    def beyond_ball(self) -> bool:
+        """Whether the rollouts prove a mean that exceeds m0 by more than B."""
+        return self._bets.beyond_ball
+
+    @property
+    def control(self) -> tuple[Control, int] | None:
+        """The last control, with the rollouts before its first fit; None where there is none."""
+        bets = self._betting
+        if isinstance(bets, Bets) or bets.control is None:
+            return None
+        return bets.control, bets.before_fit
 
     @property
     def coming(self) -> PlannedBounds:
         """The rest of the plan, for forecasts."""
-        return PlannedBounds(self._bounds, self._means, self._counts)
+        return PlannedBounds(self._bets.bounds, self._bets.means, self._bets.counts)
 
     def outlook(self, more: float) -> tuple[Floats, Floats] | None:
         """Return the `PlannedBounds.outlook`; None before every point was tested: nothing is known there."""
-        if np.any((self._counts > 0) & (self._means.counts == 0)):
+        if np.any((self._bets.counts > 0) & (self._bets.means.counts == 0)):
             return None
         return self.coming.outlook(more)
 
@@ -192,7 +180,7 @@ class KrigingMethod(Method):
     def bound_after(self, tests: Sequence[tuple[Proposal, Observation]]) -> Bound:
         """Add observations, and return the bound that follows from all of them; raises as `observe`."""
         self.recall(tests)
-        return Bound(self._upper, None, "refuted" if self._is_refuted else None)
+        return Bound(-self._bets.lower, None, "refuted" if self._bets.is_refuted else None)
 
     def recall(self, tests: Sequence[tuple[Proposal, Observation]]) -> None:
         """Add observations; raises as `observe`, and then nothing changes."""
@@ -208,8 +196,8 @@ class KrigingMethod(Method):
         So its worst value is not below the bound of the maximum, which needs no union over nodes. The mean is the
         interpolant of the means at the points (kriging). A node has no lower bound, and no node is excluded.
         """
-        mean = -(self._premises.prior_mean + self._to_nodes @ self._means.roughness())
-        each = self._bounds.current(self._premises.cost + math.log(self.size) * (1.0 + 1e-14))
+        mean = -(self._premises.prior_mean + self._kernels.to_nodes @ self._bets.means.roughness())
+        each = self._bets.bounds.current(self._premises.cost + math.log(self.size) * (1.0 + 1e-14))
         upper = np.full(self.size, math.nan) if bound.verdict == "refuted" else -each
         nothing = np.full(self.size, math.nan)
         return Band(tuple(mean.tolist()), tuple(nothing.tolist()), tuple(upper.tolist()), possible=(True,) * self.size)
@@ -223,70 +211,5 @@ class KrigingMethod(Method):
                 raise ValueError("a test needs at least one rollout")
             check_values(values, self._premises.ends)
         for node, values in tests:
-            if self._disturbed is None:
-                self._bet(self._places[node], values)
-            else:
-                self._bet_without_disturbances(self._places[node], np.array(values), self._disturbed)
+            self._betting.observe(self._places[node], values)
             self._tests += 1
-
-    def _bet(self, point: int, values: Sequence[float], ends: tuple[float, float] | None = None) -> None:
-        """Bet on the rollouts of one test; with a control `values` are X - g, in `ends`."""
-        self._audit.observe(point, values, ends)  # before the means: its bets are functions of the tests before
-        self._bounds.observe(point, values, ends)
-        self._means.add(point, values)
-        found = self._bounds.minimum()
-        # mu exceeds m0 + B nowhere, so that a bound there contradicts B as well.
-        self.beyond_ball = self.beyond_ball or found >= self._premises.prior_mean + self._premises.rkhs_norm
-        if not self._is_refuted:  # false premises prove nothing: the bound from before is kept
-            self._upper = -found
-
-    def _bet_without_disturbances(self, point: int, x: Floats, disturbed: Disturbed) -> None:
-        """Bet on what the disturbances leave of the rollouts of one test, and then show them to the control."""
-        starts, scores = np.repeat(self._shares[[point]], len(x), axis=0), disturbed.scores(self._tests)
-        control, low, high = self._controls.control, *self._premises.ends
-        if not self._controls.fits:
-            self._training.rollouts.append((point, starts, scores, x))
-            self._means.add(point, x.tolist())
-        elif control is None:
-            self._bet(point, x.tolist())
-        else:
-            g, least, most = control.values(starts, scores)
-            slack = SLACK * (high - low)
-            self._bet(point, (x - g).tolist(), (low - float(most[0]) - slack, high - float(least[0]) + slack))
-        before = self._controls.fits
-        self._controls.add(starts, scores, x)
-        if self._controls.fits and not before:
-            self._begin()
-
-    def _begin(self) -> None:
-        """Plan for the rollouts after the first fit, whose noise is what the control has left."""
-        control = self._controls.control
-        if control is not None:
-            # Three digits: the plan of the weights is then the same on every CPU.
-            self._spread = float(f"{SPREAD_MARGIN * control.residual:.3g}")
-        self._means = PointMeans(self._inner, self._premises, self._spread)
-        for point, starts, scores, x in self._training.rollouts:
-            self._counts[point] = max(self._counts[point] - len(x), 0.0)
-            known = x if control is None else x - control.values(starts, scores)[0]
-            self._means.add(point, known.tolist())
-        self._audit = NormAudit(self._means, self._counts, self._premises, self._spread)
-        self._training.rollouts.clear()
-        self.__dict__.pop("_bounds", None)  # a forecast may have planned already
-
-    @property
-    def _is_refuted(self) -> bool:
-        return self.beyond_ball or self.b_min > self._premises.rkhs_norm
-
-
-class _Training(NamedTuple):
-    """The rollouts before the first fit of a control."""
-
-    rollouts: list[tuple[int, Floats, Floats, Floats]]
-    """Point, start, scores and X of those of each test."""
-
-
-def _weight_terms(premises: KrigingPremises, spread: float) -> WeightTerms:
-    # Before any rollout the guess of its mean is m0.
-    u, (low, high) = GuessedMean(premises).value, premises.ends
-    least = 1e-3 * (high - low)
-    return WeightTerms(premises.rkhs_norm, premises.delta, spread, max(u - low, least), max(high - u, least))

@@ -82,7 +82,7 @@ def others(found: dict[str, SystemFinding]) -> dict[str, str]:
 
 def test_a_sound_system_passes_every_check() -> None:
     found = findings()
-    assert list(found) == list(SYSTEM_CHECKS)
+    assert list(found) == [name for name in SYSTEM_CHECKS if name != "disturbances"], "it declares none"
     assert others(found) == {}
     assert not any(each.remedy for each in found.values())
     assert says(found["speed"].detail, "^10 ms rollout 4 kB file 100 rollouts/s 1 worker")

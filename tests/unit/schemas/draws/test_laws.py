@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 import perfbound as pb
-from perfbound.schemas.counter import open_shares, uniform
-from perfbound.schemas.draws import Laws, check_law
+from perfbound.schemas.draws.counter import open_shares, uniform
+from perfbound.schemas.draws.laws import Laws, check_law
 from perfbound.schemas.errors import DefinitionError
 from perfbound.schemas.file.disturbance import Disturbance
 
@@ -58,7 +58,7 @@ def test_a_row_follows_from_its_seed_alone(seeds: list[int], count: int) -> None
 
 def test_shares_are_never_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
     ends = np.array([[0.0, 1.0 - 2.0**-53]])
-    monkeypatch.setattr("perfbound.schemas.counter._drawn", lambda *_: ends)
+    monkeypatch.setattr("perfbound.schemas.draws.counter._drawn", lambda *_: ends)
     low, high = open_shares([1], 2)[0].tolist()
     assert (low, high) == (2.0**-53, 1.0 - 2.0**-53)
 

@@ -16,7 +16,7 @@ from typing import Any, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from .values import DistributionName
+from ..values import DistributionName
 
 Floats = NDArray[np.float64]
 Inverse = Callable[[Floats], Floats]

@@ -9,7 +9,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy import stats
 
-from perfbound.schemas.distributions import LEAST, to_digits, truncated
+from perfbound.schemas.draws.distributions import LEAST, to_digits, truncated
 from perfbound.schemas.file.distributed import DISTRIBUTIONS
 from perfbound.schemas.values import DistributionName
 

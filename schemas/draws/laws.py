@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..errors import DefinitionError
+from ..file.disturbance import Disturbance
+from ..ranges import LARGEST_NUMBER
 from .counter import open_shares
 from .distributions import to_digits, truncated
-from .errors import DefinitionError
-from .file.disturbance import Disturbance
-from .ranges import LARGEST_NUMBER
 
 Floats = NDArray[np.float64]
 Inverse = Callable[[Floats], Floats]
