@@ -1,6 +1,6 @@
 """The claims of a finished campaign, the one chosen beforehand first."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ...schemas.file.bases import Basis, bases
@@ -23,9 +23,8 @@ from ..mathematics.bounds.composition import (
 from ..mathematics.bounds.rigorous.method import RigorousMethod
 from ..mathematics.bounds.rounding import round_down, round_up
 from ..mathematics.bounds.sample import SampleMethod
-from .problem_results import confidence
+from .problem_results import Results, confidence
 
-Results = Mapping[str, document.ProblemResult]
 MULTIPLIED, ADDED = "independence", "accounting"
 """Assumptions of the two ways in which the probabilities of a pair are combined."""
 

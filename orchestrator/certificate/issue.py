@@ -16,9 +16,9 @@ from ..campaign.ledger import Ledger, failed_attempts, observed_rollouts
 from ..store.files import FOLDER
 from .assumptions.audit import ClosingResults, assumptions
 from .assumptions.opinions import workers_honest
-from .claims import Results, claims, of_listed_starts
+from .claims import claims, of_listed_starts
 from .closing_checks import recheck, spot_check
-from .problem_results import result, with_controls
+from .problem_results import Results, result, with_controls
 from .regions import CampaignRegions, campaign_regions, safe_share
 from .sensitivity import sensitivity, with_clip, without_rollouts
 

@@ -54,13 +54,13 @@ def result(account: Account) -> document.ProblemResult:
     )
 
 
-def with_controls(
-    results: Mapping[str, document.ProblemResult], methods: Methods, header: Header
-) -> dict[str, document.ProblemResult]:
+Results = Mapping[str, document.ProblemResult]
+
+
+def with_controls(results: Results, methods: Methods, header: Header) -> Results:
     """Return the results with the controls of their methods."""
-    return {
-        name: each.model_copy(update={"control": _control(methods[name], header)}) for name, each in results.items()
-    }
+    found = {name: _control(methods[name], header) for name in results}
+    return {name: each.model_copy(update={"control": found[name]}) for name, each in results.items()}
 
 
 def _control(method: ProblemMethod, header: Header) -> document.ControlResult | None:

@@ -19,8 +19,8 @@ from ..campaign.methods import Methods, ProblemMethod, kernel_method
 from ..campaign.plan import Plans, ProblemPlan
 from ..campaign.series import Account
 from ..mathematics.bounds.rounding import decimal
-from .claims import Results, bound
-from .problem_results import in_sense
+from .claims import bound
+from .problem_results import Results, in_sense
 
 Constant = Literal["rkhs_norm", "length_scale", "control"]
 

@@ -19,10 +19,10 @@ from ..campaign.series import Account
 from .assumptions.audit import ClosingResults, assumptions
 from .assumptions.sampled import noisy_variants, one_law
 from .assumptions.sentences import assumption
-from .claims import Results, claims, of_listed_starts
+from .claims import claims, of_listed_starts
 from .closing_checks import recheck, spot_check
 from .counter_evidence import Values
-from .problem_results import result
+from .problem_results import Results, result
 from .sensitivity import with_clip, without_rollouts
 from .verdict import campaign_verdict
 

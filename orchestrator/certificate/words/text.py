@@ -239,7 +239,7 @@ def control_words(problem: ProblemResult) -> str:
     if problem.control is None:
         return ""
     share = value_text(round(100.0 * problem.control.explained, 1))
-    return f"Declared disturbances explain {share} % of the variance of a rollout, which {problem.name} is bounded without."
+    return f"Declared disturbances explain {share} % of the variance of a rollout; the bound of {problem.name} uses it."
 
 
 def is_irreproducible(claim: CertificateClaim) -> bool:

@@ -1,12 +1,15 @@
 """Method `kriging` in campaigns: its keys, its problems, their certificates, and what `verify` finds."""
 
+import itertools
 import json
+import math
 from pathlib import Path
 from typing import Any
 
 import pytest
 from pydantic import ValidationError
 
+import perfbound as pb
 from perfbound.orchestrator.campaign.methods import method
 from perfbound.orchestrator.campaign.plan import plans
 from perfbound.orchestrator.certificate import files
@@ -22,7 +25,7 @@ from perfbound.schemas.rollout import RolloutRequest
 from tests.campaigns import table
 from tests.facts import says
 from tests.fakes.finished import finish, play
-from tests.fakes.simulators import noise, robustness, simulate, verified
+from tests.fakes.simulators import noise, robustness, simulate, spec, verified
 
 KRIGING: dict[str, Any] = {
     "method": "kriging",
@@ -138,6 +141,71 @@ class TestCampaigns:
         assert found.problems[0].stopped_by == "counterexample"
         assert found.problems[0].tests < 40
         assert found.claims[0].bound <= 0.4
+        assert not verified(tmp_path)
+
+
+WINDY = spec(noisy=True).model_copy(
+    update={"disturbances": (pb.Normal(0, 1).named("wind", ""), pb.Choice([0, 1]).named("flap", "")), "residual": False}
+)
+
+
+def windy(request: RolloutRequest) -> float:
+    wind, flap = request.disturbances
+    return 0.4 + 0.2 * request.x[0] + 0.06 * math.tanh(wind) + 0.03 * (2 * flap - 1)
+
+
+class TestDisturbances:
+    def test_a_control_raises_the_bound_and_the_certificate_says_so(self, tmp_path: Path) -> None:
+        simulate(tmp_path / "on", a_campaign(), windy, noisy=True, system=WINDY)
+        simulate(tmp_path / "off", a_campaign(control="off"), windy, noisy=True, system=WINDY)
+        on, off = predicate(tmp_path / "on"), predicate(tmp_path / "off")
+        assert off.claims[0].bound < on.claims[0].bound <= 0.4
+        (found,) = on.problems
+        assert found.control is not None
+        assert found.control.explained > 0.95
+        assert (found.control.before_fit, off.problems[0].control) == (32, None)
+        wind, flap = found.control.disturbances
+        assert (wind.name, flap.name, flap.knots) == ("wind", "flap", (0.0, 1.0))
+        # Of minus J = the robustness: 0.06 between the two choices.
+        assert flap.levels[0][1] - flap.levels[0][0] == pytest.approx(0.06, abs=0.01)
+        rows = {row.constant: row.bound for row in on.sensitivity or ()}
+        assert rows["control"] is not None
+        assert rows["control"] < on.claims[0].bound
+        assert "control" not in {row.constant for row in off.sensitivity or ()}
+        assert says(notes(on, 0)[2], "Declared disturbances explain % of the variance of a rollout")
+        assert not verified(tmp_path / "on")
+
+    @pytest.mark.rest
+    def test_workers_and_stops_change_no_byte(self, tmp_path: Path) -> None:
+        simulate(tmp_path / "five", a_campaign(), windy, noisy=True, system=WINDY, workers=5)
+        seen = itertools.count()
+        stopped = simulate(
+            tmp_path / "cut", a_campaign(), windy, noisy=True, system=WINDY, stop=lambda _: next(seen) == 150
+        )
+        assert stopped is None
+        simulate(tmp_path / "cut", a_campaign(), windy, noisy=True, system=WINDY)
+        assert (tmp_path / "five" / files.CERTIFICATE).read_bytes() == (
+            tmp_path / "cut" / files.CERTIFICATE
+        ).read_bytes()
+
+    @pytest.mark.rest
+    def test_a_forged_control_is_found(self, tmp_path: Path) -> None:
+        simulate(tmp_path, a_campaign(), windy, noisy=True, system=WINDY)
+        path = tmp_path / files.CERTIFICATE
+        found = json.loads(path.read_text())
+        found["predicate"]["problems"][0]["control"]["disturbances"][0]["levels"][0][3] += 0.01
+        path.write_text(json.dumps(found))
+        assert verified(tmp_path)
+
+    @pytest.mark.rest
+    def test_where_disturbances_explain_nothing_there_is_no_control(self, tmp_path: Path) -> None:
+        def other(request: RolloutRequest) -> float:
+            return 0.4 + 0.2 * request.x[0] + 0.05 * math.sin(1e6 * request.disturbances[0])
+
+        simulate(tmp_path, a_campaign(), other, noisy=True, system=WINDY)
+        found = predicate(tmp_path)
+        assert 0.2 < found.claims[0].bound <= 0.4
+        assert found.problems[0].control is None or found.problems[0].control.explained < 0.1
         assert not verified(tmp_path)
 
 

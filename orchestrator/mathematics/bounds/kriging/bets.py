@@ -26,7 +26,7 @@ from .weights import WeightTerms, plan_weights
 SLACK = 1e-12
 """Of a range, by which the sums of a control may be rounded."""
 EXPECTED = 0.6
-"""Of the noise that the first fit leaves, what later ones leave: of 1,000 Segway rollouts 1.2 lost 0.004 of the bound."""
+"""Of the noise that the first fit leaves, what later ones leave; 1.2 lost 0.004 of the bound of 1,000 rollouts."""
 
 
 @dataclass(frozen=True)
