@@ -43,7 +43,11 @@ class Control:
     """The same of x, less what its start explains."""
 
     def values(self, starts: Floats, scores: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return g, and the least and the largest g at each start, (n,) each."""
+        """Return g, and the least and the largest g at each start, (n,) each.
+        Implements eq. (control) of [PB].
+
+        Formula: at the head of this module.
+        """
         weights = np.hstack([np.ones((len(starts), 1)), starts])
         g, low, high = (np.zeros(len(starts)) for _ in range(3))
         for i, (basis, levels) in enumerate(zip(self.bases, self.levels, strict=True)):

@@ -1,6 +1,7 @@
 """The picture of a rollout: the curves that its specification reads, over time."""
 
 import io
+import textwrap
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +15,8 @@ from ..style import BLUE, RED, with_unit
 WIDTH = 10.0
 """Inches."""
 DPI = 150
+CHARACTERS, LINE = 115, 0.17
+"""Of a line of the title, and its height in inches."""
 STYLE: dict[Any, Any] = {"font.family": "DejaVu Sans", "font.size": 9, "axes.linewidth": 0.6}
 
 
@@ -48,8 +51,10 @@ def drawn(picture: Picture) -> bytes:
 
 def _figure_of(picture: Picture) -> Figure:
     height = (1.9 if len(picture.panels) == 1 else 1.4) * len(picture.panels) + 0.6
-    figure = Figure(figsize=(WIDTH, height), dpi=DPI, layout="constrained")
-    figure.suptitle(picture.title, fontsize=10)
+    # A line as wide as the picture: disturbances make it a long one.
+    title = textwrap.fill(picture.title, CHARACTERS)
+    figure = Figure(figsize=(WIDTH, height + LINE * title.count("\n")), dpi=DPI, layout="constrained")
+    figure.suptitle(title, fontsize=10)
     rows = figure.subplots(len(picture.panels), 1, sharex=True, squeeze=False)[:, 0]
     for axes, panel in zip(rows, picture.panels, strict=True):
         _draw_panel(axes, picture, panel)
