@@ -63,7 +63,7 @@ def one_law(plan: ProblemPlan, finding: audit.Finding) -> Assumption:
 def kriging_assumptions(account: Account, problem: KrigingProblem, method: KrigingMethod) -> Iterator[Assumption]:
     """Yield what the bound rests on: the norm, the kernel, and what is derived of the design and of the values."""
     name, plan = account.plan.key, account.plan
-    norm = audit.norm_from_set(b_min=method.b_min, rkhs_norm=problem.rkhs_norm, confidence=method.probability)
+    norm = audit.norm_from_set(b_min=method.bets.b_min, rkhs_norm=problem.rkhs_norm, confidence=method.probability)
     yield assumption(f"rkhs_norm/{name}", *norm, form="norm_from_weights")
     values = {
         "tau": 0.0,
@@ -72,7 +72,7 @@ def kriging_assumptions(account: Account, problem: KrigingProblem, method: Krigi
         "rkhs_norm": problem.rkhs_norm,
     }
     yield assumption(f"kernel/{name}", "assumed", values, form="kernel_ball")
-    status: Status = "refuted" if method.beyond_ball else "not refuted"
+    status: Status = "refuted" if method.bets.beyond_ball else "not refuted"
     yield assumption(f"bounds_agree/{name}", status, {"rkhs_norm": problem.rkhs_norm}, form="within_ball")
     low, high = value_range(plan)
     assert low is not None, "the campaign file is checked for a clip"

@@ -142,7 +142,7 @@ def campaign(row: Kriging, rng: np.random.Generator, *, told_delta: float | None
     method, true = deepcopy(planned(row, delta)), truth(row, rng)
     means = np.array([true.nodes[node] for node in method.design.nodes])
     errors, below, seen = 0.0, False, Seen(method.design.size)
-    bounds, cost = method._bets.bounds, -math.log(delta)
+    bounds, cost = method.bets.bounds, -math.log(delta)
     for test in range(row.tests):
         point = seen.lowest() if row.order == "where lowest" else method.design.order[test]
         values = BOUNDED[row.noise](rng, means[point], errors, row.replicates)

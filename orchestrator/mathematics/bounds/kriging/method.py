@@ -89,7 +89,8 @@ class KrigingMethod(Method):
         self._tests = 0
 
     @property
-    def _bets(self) -> Bets:
+    def bets(self) -> Bets:
+        """The bets so far; with a control those after its first fit."""
         return self._betting if isinstance(self._betting, Bets) else self._betting.bets
 
     @property
@@ -103,16 +104,6 @@ class KrigingMethod(Method):
         return 1.0 - self._premises.delta
 
     @property
-    def b_min(self) -> float:
-        """The norm that the rollouts need, by the audit, at a failure probability delta of its own."""
-        return self._bets.b_min
-
-    @property
-    def beyond_ball(self) -> bool:
-        """Whether the rollouts prove a mean that exceeds m0 by more than B."""
-        return self._bets.beyond_ball
-
-    @property
     def control(self) -> tuple[Control, int] | None:
         """The last control, with the rollouts before its first fit; None where there is none."""
         bets = self._betting
@@ -123,11 +114,11 @@ class KrigingMethod(Method):
     @property
     def coming(self) -> PlannedBounds:
         """The rest of the plan, for forecasts."""
-        return PlannedBounds(self._bets.bounds, self._bets.means, self._bets.counts)
+        return PlannedBounds(self.bets.bounds, self.bets.means, self.bets.counts)
 
     def outlook(self, more: float) -> tuple[Floats, Floats] | None:
         """Return the `PlannedBounds.outlook`; None before every point was tested: nothing is known there."""
-        if np.any((self._bets.counts > 0) & (self._bets.means.counts == 0)):
+        if np.any((self.bets.counts > 0) & (self.bets.means.counts == 0)):
             return None
         return self.coming.outlook(more)
 
@@ -180,7 +171,7 @@ class KrigingMethod(Method):
     def bound_after(self, tests: Sequence[tuple[Proposal, Observation]]) -> Bound:
         """Add observations, and return the bound that follows from all of them; raises as `observe`."""
         self.recall(tests)
-        return Bound(-self._bets.lower, None, "refuted" if self._bets.is_refuted else None)
+        return Bound(-self.bets.lower, None, "refuted" if self.bets.is_refuted else None)
 
     def recall(self, tests: Sequence[tuple[Proposal, Observation]]) -> None:
         """Add observations; raises as `observe`, and then nothing changes."""
@@ -196,8 +187,8 @@ class KrigingMethod(Method):
         So its worst value is not below the bound of the maximum, which needs no union over nodes. The mean is the
         interpolant of the means at the points (kriging). A node has no lower bound, and no node is excluded.
         """
-        mean = -(self._premises.prior_mean + self._kernels.to_nodes @ self._bets.means.roughness())
-        each = self._bets.bounds.current(self._premises.cost + math.log(self.size) * (1.0 + 1e-14))
+        mean = -(self._premises.prior_mean + self._kernels.to_nodes @ self.bets.means.roughness())
+        each = self.bets.bounds.current(self._premises.cost + math.log(self.size) * (1.0 + 1e-14))
         upper = np.full(self.size, math.nan) if bound.verdict == "refuted" else -each
         nothing = np.full(self.size, math.nan)
         return Band(tuple(mean.tolist()), tuple(nothing.tolist()), tuple(upper.tolist()), possible=(True,) * self.size)

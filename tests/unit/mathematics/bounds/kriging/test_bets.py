@@ -54,7 +54,7 @@ def campaign(
         values = law(scores[test], rng)
         proposal = found.propose()
         bound = found.observe(proposal, Observation(-float(values.mean()), tuple((-values).tolist())))
-        bets = found._bets.bounds
+        bets = found.bets.bounds
         if bets.rollouts:
             false |= bool((bets._sum - cost > bets._weights.sum(axis=1) * 0.5 + 1e-9).any())
     assert bound.upper is not None
@@ -86,14 +86,14 @@ def test_the_first_rollouts_serve_the_fit_alone_and_the_rest_is_planned_for_what
     for test in range(5):
         scores[test] = rng.normal(size=(REPLICATES, 2))
         values = LAWS["explained"](scores[test], rng)
-        before = found._bets
+        before = found.bets
         bound = found.observe(found.propose(), Observation(-float(values.mean()), tuple((-values).tolist())))
     # 320 rollouts: the first fit is after 32 of them, which are four tests.
-    assert found._bets is before
-    assert found._bets.counts.sum() == 320 - 4 * REPLICATES
-    assert found._bets.bounds.rollouts == REPLICATES
-    assert found._bets.spread < 0.15, "0.3 is what the file says of them"
-    assert found._bets.means.counts.sum() == 5 * REPLICATES, "all of them show where mu is"
+    assert found.bets is before
+    assert found.bets.counts.sum() == 320 - 4 * REPLICATES
+    assert found.bets.bounds.rollouts == REPLICATES
+    assert found.bets.spread < 0.15, "0.3 is what the file says of them"
+    assert found.bets.means.counts.sum() == 5 * REPLICATES, "all of them show where mu is"
     assert bound.upper is not None
 
 
@@ -107,4 +107,4 @@ def test_the_same_observations_in_one_step_or_one_by_one_are_the_same_bound() ->
         tests.append((one.propose(), Observation(-float(values.mean()), tuple((-values).tolist()))))
         bound = one.observe(*tests[-1])
     assert other.bound_after(tests) == bound
-    assert other.b_min == one.b_min
+    assert other.bets.b_min == one.bets.b_min

@@ -289,7 +289,7 @@ class TestMethod:
         second.recall(made[:50])
         bound = second.bound_after(made[50:])
         assert bound.upper == first.bound_after([]).upper
-        assert second.b_min == first.b_min
+        assert second.bets.b_min == first.bets.b_min
         assert second.band(bound).upper == first.band(bound).upper
         assert second.band(bound).mean == first.band(bound).mean
 
@@ -320,13 +320,13 @@ class TestMethod:
         assert bounds[-1].verdict == "refuted"
         first = next(k for k, each in enumerate(bounds) if each.verdict == "refuted")
         assert {each.upper for each in bounds[first:]} == {bounds[first - 1].upper}
-        assert method.b_min > 0.1
+        assert method.bets.b_min > 0.1
         assert all(math.isnan(each) for each in method.band(bounds[-1]).upper)
 
     def test_a_bound_beyond_the_ball_refutes(self) -> None:
         method = a_method(norm=0.01, tests=400)
         run(method, np.full(81, 0.9))
-        assert method.beyond_ball
+        assert method.bets.beyond_ball
         assert method.bound_after([]).verdict == "refuted"
 
     def test_other_nodes_and_bad_values_are_refused(self) -> None:
