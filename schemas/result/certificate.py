@@ -106,7 +106,7 @@ class ControlResult(Model):
 
     explained: float = Field(description="share of the variance of a rollout that it takes out")
     standard_deviation: float = Field(description="that is left, of rollouts that its fit did not have")
-    before_fit: int = Field(description="rollouts before the first fit, on which no bound rests")
+    before_fit: int = Field(description="rollouts before the first fit, from which nothing was taken out")
     disturbances: tuple[ControlOfDisturbance, ...]
 
 

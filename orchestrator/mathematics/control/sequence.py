@@ -22,7 +22,7 @@ import numpy as np
 
 from ..gp.kernels import Floats
 from .basis import Basis
-from .fit import MOST_ROLLOUTS, PENALTIES, RIDGE, Sums, roughness
+from .fit import MOST_ROLLOUTS, PENALTIES, RIDGE, Sums, Within, roughness
 
 MOST_FIRST, LEAST_FIRST, FIRST_SHARE = 64, 32, 16
 """Rollouts of the first fit: a sixteenth of the budget, between these; each further fit is at twice as many."""
@@ -90,10 +90,9 @@ class ControlSequence:
         self._parameters = parameters
         self._products = sum(widths) * (1 + parameters) <= MOST_FUNCTIONS
         copies = 1 + parameters * self._products
-        self._width = self._of_start + sum(widths) * copies
+        self._width = sum(widths) * copies
         self._penalty, self._ridge = np.zeros((self._width,) * 2), np.zeros((self._width,) * 2)
-        self._plain = self._of_start + sum(widths)
-        place = self._of_start
+        self._plain, place = sum(widths), 0
         for _ in range(copies):
             for width in widths:
                 block = slice(place, place + width)
@@ -108,63 +107,54 @@ class ControlSequence:
         """None before the first fit, and where the disturbances explain nothing."""
 
     @property
-    def _of_start(self) -> int:
-        return 1 + 2 * self._parameters
-
-    @property
     def rollouts(self) -> int:
         """Number of rollouts so far that a fit rests on."""
         return self._sums.count
 
-    def add(self, starts: Floats, scores: Floats, x: Floats) -> None:
-        """Take the rollouts of one test, and fit the control of the following ones where their number is reached."""
+    def add(self, start: int, places: Floats, scores: Floats, x: Floats) -> None:
+        """Take the rollouts of one test, and fit the control of the following ones where their number is reached.
+
+        `start` is the number of the start, which they share, and `places` (n, p) has it as shares of the ranges.
+        """
         if self._sums.count >= MOST_ROLLOUTS:
             return
-        self._sums = self._sums.plus(self._rows(starts, scores), (x - self._low) / self._range)
+        self._sums = self._sums.plus(start, self._rows(places, scores), (x - self._low) / self._range)
         if not self._half.count and self._sums.count >= self._first // 2:
             self._half = self._sums
         if self._sums.count >= self._next:
             self._fit()
             self._half, self._next, self.has_begun = self._sums, 2 * self._sums.count, True
 
-    def _rows(self, starts: Floats, scores: Floats) -> Floats:
+    def _rows(self, places: Floats, scores: Floats) -> Floats:
         hats = np.hstack([basis.hats(scores[:, i]) for i, basis in enumerate(self._bases)])
-        products = [hats * starts[:, [axis]] for axis in range(self._parameters)] if self._products else []
-        return np.hstack([np.ones((len(starts), 1)), starts, starts**2, hats, *products])
+        products = [hats * places[:, [axis]] for axis in range(self._parameters)] if self._products else []
+        return np.hstack([hats, *products])
 
     def _fit(self) -> None:
-        first, second = self._half, self._sums.minus(self._half)
-        none = second.error(_padded(_sub(first, self._of_start), self._ridge, self._width))
-        best, chosen = none, None
+        first, second = self._half.within, self._sums.minus(self._half).within
+        none = best = second.variance(np.zeros(self._width))
+        chosen = None
         for width in sorted({self._plain, self._width}):
             for penalty in PENALTIES:
-                matrix = penalty * self._penalty + self._ridge
-                error = second.error(_padded(_sub(first, width), matrix, self._width))
-                if error < best:
-                    best, chosen = error, (width, penalty)
+                beta = self._padded(first.first(width), penalty)
+                if (variance := second.variance(beta)) < best:
+                    best, chosen = variance, (width, penalty)
         self.control = None
         if chosen is not None:
             width, penalty = chosen
-            beta = _padded(_sub(self._sums, width), penalty * self._penalty + self._ridge, self._width)
+            beta = self._padded(self._sums.within.first(width), penalty)
             self.control = self._made(beta * self._range, best, none)
+
+    def _padded(self, sums: Within, penalty: float) -> Floats:
+        """Return beta of the functions in the sums, and 0 for the others."""
+        found, own = np.zeros(self._width), len(sums.moment)
+        found[:own] = sums.solved(penalty * self._penalty[:own, :own] + self._ridge[:own, :own])
+        return found
 
     def _made(self, beta: Floats, error: float, before: float) -> Control:
         widths = [len(basis.knots) for basis in self._bases]
         copies = 1 + self._parameters * self._products
-        parts = beta[self._of_start :].reshape(copies, sum(widths))
+        parts = beta.reshape(copies, sum(widths))
         ends = np.cumsum([0, *widths])
         levels = tuple(parts[:, a:b] for a, b in pairwise(ends.tolist()))
         return Control(self._bases, levels, error**0.5 * self._range, before**0.5 * self._range)
-
-
-def _sub(sums: Sums, width: int) -> Sums:
-    """Return the sums of the first functions alone."""
-    return Sums(sums.gram[:width, :width], sums.moment[:width], sums.square, sums.count)
-
-
-def _padded(sums: Sums, penalty: Floats, width: int) -> Floats:
-    """Return beta of the functions in the sums, and 0 for the others."""
-    found = np.zeros(width)
-    own = len(sums.moment)
-    found[:own] = sums.solved(penalty[:own, :own])
-    return found

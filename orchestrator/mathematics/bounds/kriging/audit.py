@@ -115,6 +115,10 @@ class NormAudit:
         self._count += len(values)
         self.b_min = max(self.b_min, self._norm())
 
+    def plan(self, means: PointMeans, spread: float) -> None:
+        """Take other means and another guess of the noise for the bets from now on; both may depend on the past."""
+        self._means, self._variance = means, spread**2
+
     def _weight(self, point: int) -> float:
         """Return v of the next rollout, a function of the tests before it."""
         if not self._planned[point]:

@@ -21,12 +21,15 @@ from ...gp.radial import Radial
 from .audit import NormAudit, PointMeans
 from .bound import GuessedMean, KrigingBounds, KrigingPremises
 from .cells import NodeCells, between
-from .weights import WeightTerms, plan_weights
+from .weights import WeightTerms, planned_weights
 
 SLACK = 1e-12
 """Of a range, by which the sums of a control may be rounded."""
 EXPECTED = 0.6
 """Of the noise that the first fit leaves, what later ones leave; 1.2 lost 0.004 of the bound of 1,000 rollouts."""
+
+CHANCE = 1.1
+"""Noise makes a bound, the least of many, lower than expected: by about a tenth of what it is expected to lose."""
 
 
 @dataclass(frozen=True)
@@ -65,10 +68,25 @@ class Bets:
     def bounds(self) -> KrigingBounds:
         """The martingales of the bound."""
         # The plan of the weights takes a second, and no proposal waits for it: the workers have their tests by then.
-        kernels, terms = self.kernels, _weight_terms(self.premises, self.spread)
-        planned = plan_weights(kernels.to_nodes, kernels.inner, self.counts, terms)
+        kernels = self.kernels
         cells = NodeCells(kernels.lattice, kernels.radial, kernels.points)
-        return KrigingBounds(planned, kernels.inner, cells, self.premises, error=kernels.radial.error)
+        weights, _ = self.planned(self.spread, self.premises.ends)
+        return KrigingBounds(weights, kernels.inner, cells, self.premises, error=kernels.radial.error)
+
+    def replan(self, spread: float, weights: Floats, means: PointMeans) -> None:
+        """Go on with other weights, for another noise; `means` are those of the rollouts so far, less that noise.
+
+        All are functions of the rollouts before, so that the martingales stay what they are.
+        """
+        self.spread, self.means = spread, means
+        self.bounds.plan(weights)
+        self._audit.plan(means, spread)
+
+    def planned(self, spread: float, ends: tuple[float, float]) -> tuple[Floats, float]:
+        """Return weights for rollouts with this noise and range, and the most that a node is expected to lose."""
+        terms = _weight_terms(self.premises, spread, ends)
+        found, losses = planned_weights(self.kernels.to_nodes, self.kernels.inner, self.counts, terms)
+        return found, float(losses.max())
 
     @property
     def b_min(self) -> float:
@@ -95,8 +113,7 @@ class Bets:
 class ControlledBets:
     """Bets on X - g, from which a control has taken what declared disturbances explain.
 
-    The rollouts before its first fit serve that alone: they vary so much more than the later ones that no weight is
-    right for both. Where a fit explains nothing, X itself is bet on.
+    Until its first fit, and where that explains nothing, X itself is bet on.
     """
 
     def __init__(self, bets: Bets, disturbed: Disturbed) -> None:
@@ -107,54 +124,59 @@ class ControlledBets:
         self._first: list[tuple[int, Floats, Floats, Floats]] = []
         """Point, start, scores and X of the tests before the first fit."""
         self._tests = self.before_fit = 0
+        self._is_used = True
 
     @property
     def control(self) -> Control | None:
-        """The control of the next rollouts; None before the first fit, and where none explains anything."""
-        return self._controls.control
+        """The control of the next rollouts; None before the first fit, and where none explains enough."""
+        return self._controls.control if self._is_used else None
 
     def observe(self, point: int, values: Sequence[float]) -> None:
-        """Take the rollouts of one test; from the first fit on, bet on them before the control sees them."""
+        """Bet on the rollouts of one test, before the control sees them."""
         x, scores = np.array(values), self._scores(self._tests)
         starts = np.repeat(self._shares[[point]], len(x), axis=0)
-        if self._controls.has_begun:
-            self._bet(point, starts, scores, x)
-        else:
+        self._bet(point, starts, scores, x)
+        if not self._controls.has_begun:
             self._first.append((point, starts, scores, x))
             self.before_fit += len(x)
-            self.bets.means.add(point, values)
-        self._controls.add(starts, scores, x)
+        self._controls.add(point, starts, scores, x)
         self._tests += 1
         if self._first and self._controls.has_begun:
             self._begin()
 
     def _bet(self, point: int, starts: Floats, scores: Floats, x: Floats) -> None:
-        control = self._controls.control
-        if control is None:
-            self.bets.observe(point, x.tolist())
-            return
-        g, least, most = control.values(starts, scores)
         low, high = self.bets.premises.ends
+        if self.control is None:
+            self.bets.observe(point, x.tolist(), (low, high))
+            return
+        g, least, most = self.control.values(starts, scores)
         slack = SLACK * (high - low)
         self.bets.observe(point, (x - g).tolist(), (low - float(most[0]) - slack, high - float(least[0]) + slack))
 
     def _begin(self) -> None:
-        """Plan for the rollouts after the first fit, whose noise is what the control leaves."""
-        control, before = self._controls.control, self.bets
-        # Three digits: the plan of the weights is then the same on every CPU.
-        spread = before.spread if control is None else float(f"{EXPECTED * control.residual:.3g}")
-        counts = before.counts.copy()
-        for point, _, _, x in self._first:
-            counts[point] = max(counts[point] - len(x), 0.0)
-        self.bets = Bets(before.kernels, before.premises, counts, spread)
-        for point, starts, scores, x in self._first:
-            rest = x if control is None else x - control.values(starts, scores)[0]
-            self.bets.means.add(point, rest.tolist())
+        """Plan the further weights for the noise that the control leaves, if it is expected to pay."""
+        if (control := self.control) is not None:
+            # Three digits: the plan of the weights is then the same on every CPU.
+            before, spread = _rounded(control.before), _rounded(EXPECTED * control.residual)
+            _, least, most = control.values(self._shares, np.zeros((len(self._shares), len(control.bases))))
+            low, high = self.bets.premises.ends
+            weights, loss = self.bets.planned(spread, (_rounded(low - float(most.max())), high - _rounded(least.min())))
+            # What it takes out it adds to the range, and with few rollouts the range costs more than the noise.
+            self._is_used = loss < CHANCE * self.bets.planned(before, (low, high))[1]
+            if self._is_used:
+                means = PointMeans(self.bets.kernels.inner, self.bets.premises, spread)
+                for point, starts, scores, x in self._first:
+                    means.add(point, (x - control.values(starts, scores)[0]).tolist())
+                self.bets.replan(spread, weights, means)
         self._first.clear()
 
 
-def _weight_terms(premises: KrigingPremises, spread: float) -> WeightTerms:
+def _rounded(value: float) -> float:
+    return float(f"{value:.3g}")
+
+
+def _weight_terms(premises: KrigingPremises, spread: float, ends: tuple[float, float]) -> WeightTerms:
     # Before any rollout the guess of its mean is m0.
-    u, (low, high) = GuessedMean(premises).value, premises.ends
+    u, (low, high) = GuessedMean(premises).value, ends
     least = 1e-3 * (high - low)
     return WeightTerms(premises.rkhs_norm, premises.delta, spread, max(u - low, least), max(high - u, least))

@@ -198,6 +198,10 @@ class KrigingBounds:
         self._add_weight(point, total)
         self.lower = np.maximum(self.lower, self.current(self.premises.cost))
 
+    def plan(self, planned: Floats) -> None:
+        """Take other weights (m, q) for the rollouts from now on; they may depend on those so far."""
+        self._planned = planned
+
     def weights_at(self, u: float) -> Floats:
         """Return the weight of a rollout at each point for each node, (m, q), where the guess of its mean is `u`."""
         return np.clip(self._planned, *self._guess.limits_at(u))

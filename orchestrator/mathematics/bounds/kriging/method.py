@@ -14,8 +14,8 @@ The design, its order and the weights follow from the budget, before the first r
 max J: the rollouts are where the upper one needs them, and not where J is largest, so a lower bound would tend to
 something else than J* and no tolerance could end the campaign. The budget ends it, or the audit of B.
 
-With declared disturbances a control takes out what they explain: X - g has the mean of X, and less variance. The first
-rollouts serve its first fit, and no bound rests on them: the weights are planned for the noise that is left.
+With declared disturbances a control takes out what they explain: X - g has the mean of X, and less variance. After its
+first fit the weights are planned anew, for the noise that is left.
 """
 
 import math

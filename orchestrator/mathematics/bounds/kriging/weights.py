@@ -85,6 +85,11 @@ def plan_weights(to_nodes: Floats, kernel: Floats, counts: Floats, terms: Weight
     (True, True)
 
     """
+    return planned_weights(to_nodes, kernel, counts, terms)[0]
+
+
+def planned_weights(to_nodes: Floats, kernel: Floats, counts: Floats, terms: WeightTerms) -> tuple[Floats, Floats]:
+    """Return the weights, and what the bound of each node is expected to lose with them, (m,), unit X."""
     planned = counts > 0
     descent = _Descent(to_nodes[:, planned], kernel[np.ix_(planned, planned)], counts[planned], terms)
     best, found = np.full(len(to_nodes), np.inf), np.zeros_like(to_nodes)
@@ -96,7 +101,7 @@ def plan_weights(to_nodes: Floats, kernel: Floats, counts: Floats, terms: Weight
         better = loss < best - TIE * terms.rkhs_norm
         best = np.where(better, loss, best)
         found[np.ix_(better, planned)] = w[better] / (kappa * descent.n)
-    return found
+    return found, best
 
 
 def kappas(counts: Floats, terms: WeightTerms) -> list[float]:
@@ -104,7 +109,9 @@ def kappas(counts: Floats, terms: WeightTerms) -> list[float]:
     total, most = float(counts.sum()), float(counts.max())
     shared = terms.spread / math.sqrt(2.0 * total * terms.cost)
     alone = max(terms.spread / math.sqrt(2.0 * most * terms.cost), terms.room_below / (CAP * most))
-    return [float(each) for each in np.geomspace(1.5 * shared, 2.0 * alone, KAPPAS)]
+    # With less, even all rollouts together have weights that sum up to less than 1.
+    least = max(1.5 * shared, terms.room_below / (CAP * total))
+    return [float(each) for each in np.geomspace(least, 2.0 * alone, KAPPAS)]
 
 
 @dataclass(frozen=True)

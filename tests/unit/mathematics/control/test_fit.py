@@ -18,27 +18,42 @@ def test_it_solves_what_numpy_solves(size: int, seed: int) -> None:
 
 def test_the_order_and_the_grouping_of_rollouts_change_no_bit() -> None:
     rng = np.random.default_rng(5)
-    rows, x = rng.uniform(-1, 1, size=(400, 20)), rng.uniform(0, 1, size=400)
-    whole = Sums.empty(20).plus(rows, x)
-    shuffled = Sums.empty(20)
-    for part in np.array_split(rng.permutation(400), 37):
-        shuffled = shuffled.plus(rows[part], x[part])
-    assert whole.gram.tolist() == shuffled.gram.tolist()
-    assert whole.moment.tolist() == shuffled.moment.tolist()
+    rows, x, starts = rng.uniform(-1, 1, size=(400, 20)), rng.uniform(0, 1, size=400), rng.integers(0, 7, size=400)
+    whole, shuffled = Sums.empty(20), Sums.empty(20)
+    for start in range(7):
+        whole = whole.plus(start, rows[starts == start], x[starts == start])
+    for place in rng.permutation(400).tolist():
+        shuffled = shuffled.plus(int(starts[place]), rows[[place]], x[[place]])
+    one, other = whole.within, shuffled.within
+    assert (one.gram.tolist(), one.moment.tolist(), one.square) == (
+        other.gram.tolist(),
+        other.moment.tolist(),
+        other.square,
+    )
     penalty = 0.1 * np.eye(20)
-    assert whole.solved(penalty).tolist() == shuffled.solved(penalty).tolist()
-    assert whole.error(whole.solved(penalty)) == shuffled.error(shuffled.solved(penalty))
+    assert one.solved(penalty).tolist() == other.solved(penalty).tolist()
+    assert one.variance(one.solved(penalty)) == other.variance(other.solved(penalty))
 
 
-def test_the_error_is_the_mean_square_of_what_is_left() -> None:
+def test_what_is_left_is_the_variance_within_starts() -> None:
     rng = np.random.default_rng(6)
-    rows, x = rng.uniform(-1, 1, size=(300, 6)), rng.uniform(0, 1, size=300)
-    sums = Sums.empty(6).plus(rows, x)
-    beta = sums.solved(1e-6 * np.eye(6))
-    assert sums.error(beta) == pytest.approx(np.mean((x - rows @ beta) ** 2), rel=1e-3)
-    first = Sums.empty(6).plus(rows[:100], x[:100])
+    rows, starts = rng.uniform(-1, 1, size=(300, 6)), np.repeat(np.arange(10), 30)
+    # Differences between starts, however large, are none of the disturbances'.
+    x = np.clip(0.5 + 0.04 * (starts - 4.5) + 0.05 * rows[:, 2] + rng.normal(0, 0.01, 300), 0, 1)
+    sums, first = Sums.empty(6), Sums.empty(6)
+    for start in range(10):
+        sums = sums.plus(start, rows[starts == start], x[starts == start])
+        if start < 4:
+            first = first.plus(start, rows[starts == start], x[starts == start])
+    within = sums.within
+    beta = within.solved(1e-6 * np.eye(6))
+    assert beta[2] == pytest.approx(0.05, abs=0.005)
+    left = x - rows @ beta
+    by_start = np.concatenate([left[starts == start] - left[starts == start].mean() for start in range(10)])
+    assert within.variance(beta) == pytest.approx(float(by_start @ by_start) / 290, rel=1e-3)
     rest = sums.minus(first)
-    assert (rest.count, rest.gram.tolist()) == (200, Sums.empty(6).plus(rows[100:], x[100:]).gram.tolist())
+    assert (rest.count, sorted(rest.starts), rest.within.free) == (180, [4, 5, 6, 7, 8, 9], 174)
+    assert within.first(2).solved(np.eye(2)).shape == (2,)
 
 
 @pytest.mark.parametrize("knots", [1, 2, 3, 9])

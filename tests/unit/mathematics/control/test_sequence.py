@@ -38,6 +38,9 @@ def test_given_the_start_the_mean_is_0_and_no_value_leaves_the_range(seed: int, 
     assert total == pytest.approx(0.0, abs=1e-6)
 
 
+PLACES = np.array([(a, b) for a in (-1.0, 0.0, 1.0) for b in (-1.0, 1.0)])
+
+
 def rollouts(rng: np.random.Generator, count: int) -> tuple[Floats, Floats, Floats]:
     starts = rng.uniform(-1, 1, size=(count, 2))
     scores = np.column_stack([rng.normal(size=count), rng.choice(3, p=[0.2, 0.5, 0.3], size=count).astype(float)])
@@ -48,11 +51,11 @@ def fitted(explained: Explained, *, count: int = 400, seed: int = 1) -> tuple[Co
     """Return a sequence after `count` rollouts, and the deviations of x and of x - g on fresh ones."""
     rng = np.random.default_rng(seed)
     sequence = ControlSequence(BASES, 2, (-3.0, 3.0), first=32)
-    starts, scores, noise = rollouts(rng, count)
-    x = np.clip(0.3 * starts[:, 0] + explained(starts, scores) + noise, -3, 3)
-    for first in range(0, count, 8):
-        part = slice(first, first + 8)
-        sequence.add(starts[part], scores[part], x[part])
+    for test in range(count // 8):
+        place, scores, noise = rollouts(rng, 8)
+        place = np.repeat(PLACES[[test % len(PLACES)]], 8, axis=0)
+        x = np.clip(0.3 * place[:, 0] + explained(place, scores) + noise, -3, 3)
+        sequence.add(test % len(PLACES), place, scores, x)
     starts, scores, noise = rollouts(rng, 4000)
     fresh = np.clip(explained(starts, scores) + noise, -3, 3)
     g = np.zeros(4000) if sequence.control is None else sequence.control.values(starts, scores)[0]
@@ -90,7 +93,7 @@ def test_a_control_is_a_function_of_the_tests_before_its_fit() -> None:
     for first in range(0, 96, 8):
         part = slice(first, first + 8)
         before = one.control
-        one.add(starts[part], scores[part], 0.2 * scores[part, 0] + noise[part])
+        one.add(0, starts[part], scores[part], 0.2 * scores[part, 0] + noise[part])
         if (before is None) != (one.control is None):
             assert first + 8 >= 32
         # From the first fit to the next one, at twice as many rollouts, it stays.
@@ -98,7 +101,7 @@ def test_a_control_is_a_function_of_the_tests_before_its_fit() -> None:
             assert one.control is before
     for first in range(0, 96, 4):  # tests of another size
         part = slice(first, first + 4)
-        other.add(starts[part], scores[part], 0.2 * scores[part, 0] + noise[part])
+        other.add(0, starts[part], scores[part], 0.2 * scores[part, 0] + noise[part])
     assert one.control is not None
     assert other.control is not None
     assert [each.tolist() for each in one.control.levels] == [each.tolist() for each in other.control.levels]
@@ -109,7 +112,7 @@ def test_many_disturbances_have_no_products_with_the_start() -> None:
     rng = np.random.default_rng(0)
     for _ in range(4):
         scores = rng.normal(size=(8, 15))
-        sequence.add(rng.uniform(-1, 1, (8, 20)), scores, np.clip(0.5 + 0.1 * scores[:, 3], 0, 1))
+        sequence.add(0, np.zeros((8, 20)), scores, np.clip(0.5 + 0.1 * scores[:, 3], 0, 1))
     assert sequence.has_begun
     assert sequence.control is None or {len(each) for each in sequence.control.levels} == {1}
 
