@@ -613,7 +613,7 @@ def respecify(directory: Path, edit: Callable[[Any], object]) -> None:
         (lambda spec: spec.update(name="autopilot"), "header"),
         (lambda spec: spec["parameters"][0].update(high=4.0), "header"),
         (lambda spec: spec["parameters"][0].update(unit="km"), "header"),
-        (lambda spec: spec.update(noisy=[]), "requests"),
+        (lambda spec: spec.update(noisy=[], disturbances=[], residual=True), "requests"),
         (lambda spec: spec.update(doc="certified"), "requests"),
     ],
 )
