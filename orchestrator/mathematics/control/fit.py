@@ -120,7 +120,7 @@ def solve(matrix: Floats, right: Floats) -> Floats:
 
     Column by column in numpy's elementwise operations, which round alike everywhere; those of LAPACK do not.
 
-    >>> solve(np.array([[4.0, 2.0], [2.0, 3.0]]), np.array([2.0, 5.0])).tolist()
+    >>> solve(np.array([[4.0, 2.0], [2.0, 3.0]]), np.array([2.0, 5.0])).round(12).tolist()
     [-0.5, 2.0]
 
     """
