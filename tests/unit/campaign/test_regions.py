@@ -292,6 +292,15 @@ class TestVerify:
         (campaign / files.CERTIFICATE).write_text(Certificate.model_validate_json(json.dumps(value)).to_json())
         assert "regions" in verified(campaign)
 
+    def test_boxes_that_are_exactly_those_of_the_evidence_pass_beside_another_table(
+        self, campaign: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """The table that is computed anew differs, and with no margin at all the boxes are those of the evidence."""
+        honest = regions.divided
+        monkeypatch.setattr(regions, "divided", lambda ledger, margin=MARGIN: honest(ledger, margin + 5e-4))
+        monkeypatch.setattr(check, "SHIFT", 0.0)
+        assert verified(campaign) == []
+
     @pytest.mark.rest
     def test_round_off_of_another_cpu_passes(self, campaign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         """This CPU proves with a little less margin what the recorded one did not, or the other way round."""

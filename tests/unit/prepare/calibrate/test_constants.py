@@ -164,6 +164,16 @@ def test_every_constant_has_a_reason_and_the_file_has_all_of_them(tmp_path: Path
     assert forecast.budget >= forecast.tests
 
 
+@pytest.mark.parametrize(("text", "noisy"), [(HEAD, True), (f"clip = [-1.5, 0.5]\n{HEAD}", True), (HEAD, False)])
+def test_the_share_at_an_end_of_the_clip_is_known_where_there_is_one(tmp_path: Path, text: str, noisy: bool) -> None:
+    measured = result(tmp_path, text, noisy=noisy, rollouts=150).problems[0].measured
+    if not noisy:
+        assert measured.clipped is None
+        return
+    assert measured.clipped is not None
+    assert (measured.clipped > 0.0) == text.startswith("clip"), "a clip of its own contains all values"
+
+
 def test_an_alpha_that_no_budget_reaches_is_kept_where_a_user_has_chosen_it_and_raised_elsewhere(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
