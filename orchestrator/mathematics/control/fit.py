@@ -25,7 +25,7 @@ UNIT = 2.0**15
 """A function, at most 1 in size, is a whole number of its inverse."""
 UNIT_OF_X = 2.0**20
 """Of the range of x."""
-MOST_ROLLOUTS = 2**17
+MOST_ROLLOUTS = 2**13
 """With which all sums stay below 2^53; more would fit no better."""
 PENALTIES = (0.03, 0.3, 3.0, 30.0)
 RIDGE = 1e-3

@@ -106,19 +106,16 @@ class ControlSequence:
         self.control: Control | None = None
         """None before the first fit, and where the disturbances explain nothing."""
 
-    @property
-    def rollouts(self) -> int:
-        """Number of rollouts so far that a fit rests on."""
-        return self._sums.count
-
     def add(self, start: int, places: Floats, scores: Floats, x: Floats) -> None:
         """Take the rollouts of one test, and fit the control of the following ones where their number is reached.
 
         `start` is the number of the start, which they share, and `places` (n, p) has it as shares of the ranges.
         """
-        if self._sums.count >= MOST_ROLLOUTS:
+        some = slice(max(MOST_ROLLOUTS - self._sums.count, 0))
+        if not len(x[some]):
             return
-        self._sums = self._sums.plus(start, self._rows(places, scores), (x - self._low) / self._range)
+        shares = (x[some] - self._low) / self._range
+        self._sums = self._sums.plus(start, self._rows(places[some], scores[some]), shares)
         if not self._half.count and self._sums.count >= self._first // 2:
             self._half = self._sums
         if self._sums.count >= self._next:
