@@ -211,6 +211,8 @@ class SystemSpec(Model, metaclass=Written):
         found = {
             each.name: given.get(each.name) or SignalShape(name=each.name) for each in self.parameters if each.signal
         }
+        if not found and not laws:  # of most systems, for every rollout on a worker
+            return self
         parameters = tuple(
             each.model_copy(update={"name": name, "signal": False})
             for each in self.parameters

@@ -15,6 +15,7 @@ from ....schemas import __version__
 from ....schemas.amounts import counted
 from ....schemas.batch import BatchRequest
 from ....schemas.errors import JournalError, Stopped
+from ....schemas.file.against_system import as_in_campaign
 from ....schemas.ids import FileId, RolloutId
 from ....schemas.result.block_facts import BlockProposalFact
 from ....schemas.result.certificate import Assumption, Certificate
@@ -193,6 +194,9 @@ def _header(directory: Path, certificate: Certificate, checks: Checks) -> Header
         raise CheckFailed("header", fault)
     # The pair is untrusted, and its digests fit: refuse it as a run would, before the mathematics reads it.
     check(config, header.spec, "the campaign")
+    # The identity of a system depends neither on knots nor on laws that the file gives: they are those of the file.
+    if header.spec != as_in_campaign(header.spec.declared, config):
+        raise CheckFailed("header", "the stored system has other inputs or disturbances than the campaign file")
     checks.passed("header", f"{config.name}, seed {config.seed}, sha256 {header.config_sha256[:16]}..." + _of(header))
     return header
 

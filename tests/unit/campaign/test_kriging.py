@@ -18,14 +18,17 @@ from perfbound.orchestrator.mathematics.bounds.kriging.method import KrigingMeth
 from perfbound.orchestrator.report.collect.campaign import Collector
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store.read import read_header, reading
+from perfbound.schemas.base import canonical_json
 from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.file.defaults import completed
 from perfbound.schemas.result.certificate import Predicate
 from perfbound.schemas.rollout import RolloutRequest
+from perfbound.schemas.system import SystemSpec
 from tests.campaigns import table
 from tests.facts import says
 from tests.fakes.finished import finish, play
 from tests.fakes.simulators import noise, robustness, simulate, spec, verified
+from tests.tampering import editing
 
 KRIGING: dict[str, Any] = {
     "method": "kriging",
@@ -195,6 +198,19 @@ class TestDisturbances:
         found["predicate"]["problems"][0]["control"]["disturbances"][0]["levels"][0][3] += 0.01
         path.write_text(json.dumps(found))
         assert verified(tmp_path)
+
+    def test_other_laws_than_those_of_the_file_are_found(self, tmp_path: Path) -> None:
+        laws = {"wind": {"distribution": "normal", "mean": 0.0, "sd": 0.5}}
+        config = a_campaign(disturbances=laws, max_tests=9)
+        simulate(tmp_path, config, windy, noisy=True, system=WINDY)
+        assert not verified(tmp_path)
+        with editing(tmp_path) as database:
+            (text,) = database.execute("SELECT system FROM campaign").fetchone()
+            stored = SystemSpec.model_validate_json(text)
+            assert stored.disturbances[0].sd == 0.5
+            # As if the values had been drawn from the laws of the system: its digest is the same.
+            database.execute("UPDATE campaign SET system = ?", (canonical_json(WINDY.model_dump(mode="json")),))
+        assert verified(tmp_path) == ["header"]
 
     @pytest.mark.rest
     def test_where_disturbances_explain_nothing_there_is_no_control(self, tmp_path: Path) -> None:
