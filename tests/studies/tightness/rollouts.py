@@ -18,11 +18,12 @@ from perfbound.orchestrator.campaign.plan import ProblemPlan, plans
 from perfbound.orchestrator.mathematics.bounds.kriging.design import plan_design
 from perfbound.orchestrator.mathematics.gp.kernels import Floats
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice
+from perfbound.schemas.draws.laws import Laws
 from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.file.reader import load_campaign
 from perfbound.schemas.system import OptionValue
 from perfbound.workers.systems import load_system
-from perfbound.workers.systems.base import SystemUnderTest
+from perfbound.workers.systems.base import SystemUnderTest, disturbances_of
 
 ROOT = Path(__file__).parents[3]
 CAMPAIGN = ROOT / "deploy" / "campaigns" / "segway.toml"
@@ -80,7 +81,8 @@ class Subject:
 
     def simulated(self, places: Sequence[Place]) -> Iterator[tuple[Place, float]]:
         """Yield the clipped robustness of one true rollout after the other."""
-        observer, nodes, options = Observer(self.config, self.system.spec), self.lattice.nodes, self._options
+        spec, nodes, options = self.system.spec, self.lattice.nodes, self._options
+        observer, laws = Observer(self.config, spec), Laws(spec.disturbances)
         for place in places:
             seed = int(np.random.SeedSequence(SEED, spawn_key=place).generate_state(1, np.uint64)[0] >> np.uint64(11))
             trajectory = self.system.rollout(
@@ -90,6 +92,7 @@ class Subject:
                 horizon=self.config.horizon,
                 options=options,
                 progress=lambda _: None,
+                **disturbances_of(spec, laws.values([seed])[0].tolist()),
             )
             value = observer.robustness(trajectory)
             assert value is not None, "the campaign has a specification"
