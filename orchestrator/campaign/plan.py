@@ -17,7 +17,15 @@ from ...schemas.file.keys import most_kept
 from ...schemas.file.objectives import OBJECTIVES, Objective, ProblemName, Reading, Sense, Statement, rolled_out
 from ...schemas.file.parameters import parameter_ranges
 from ...schemas.file.parts import parts_of
-from ...schemas.file.problem_models import Falsify, Gap, PaperProblem, Problem, RigorousProblem, SampleProblem
+from ...schemas.file.problem_models import (
+    Falsify,
+    Gap,
+    KrigingProblem,
+    PaperProblem,
+    Problem,
+    RigorousProblem,
+    SampleProblem,
+)
 from ...schemas.file.space import Scenarios, StartTable
 from ...schemas.system import SystemSpec, Variant
 from ..mathematics.bounds.composition import derived_noise_scale
@@ -304,7 +312,9 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
         gradual=most_kept(config.keep) is not None,
         box=isinstance(config.space, dict),
         deterministic=not set(variants) & set(spec.noisy),
-        controlled=bool(spec.disturbances and set(variants) & set(spec.noisy)) and config.control == "on",
+        controlled=isinstance(problem, KrigingProblem)
+        and bool(spec.disturbances and set(variants) & set(spec.noisy))
+        and config.control == "on",
         requirements=tuple(each.name for each in config.specifications),
         until_counterexample=config.until_counterexample,
         parts=tuple(parts),

@@ -11,7 +11,7 @@ from typing import Literal
 from ...schemas.file.bases import Basis, bases
 from ...schemas.file.composition import composes
 from ...schemas.file.config import CampaignConfig
-from ...schemas.file.problem_models import KernelProblem, KrigingProblem, RigorousProblem
+from ...schemas.file.problem_models import KernelProblem, RigorousProblem
 from ...schemas.result import certificate as document
 from ...schemas.result.facts import Header
 from ..campaign.clip import by_clip, floored, is_vacuous, least_risk, of_drawn_starts
@@ -83,8 +83,7 @@ def sensitivity(
         return [_bound_with(varied, basis, plans, claims[k]) for k, basis in numbered]
 
     # One constant after the other, because the methods of each have matrices as large as those of the campaign.
-    controlled = any(plan.controlled and isinstance(plan.problem, KrigingProblem) for plan in plans.values())
-    variations = (*VARIATIONS, WITHOUT_CONTROL) if controlled else VARIATIONS
+    variations = (*VARIATIONS, WITHOUT_CONTROL) if any(plan.controlled for plan in plans.values()) else VARIATIONS
     found = {each: bounds(*each) for each in variations}
     return tuple(
         document.Sensitivity(claim=k, constant=constant, factor=factor, bound=found[constant, factor][place])

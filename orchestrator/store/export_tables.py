@@ -17,7 +17,7 @@ above, in both senses.
 
 import json
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -25,13 +25,14 @@ import sqlalchemy as sa
 from sqlalchemy import Connection
 
 from ...schemas.file.config import CampaignConfig
+from ...schemas.file.disturbance import Disturbance
 from ...schemas.file.drawn_claims import PROBABILITIES
 from ...schemas.file.objectives import replicates_are_robustness
 from ...schemas.file.parts import parts_of
 from ...schemas.file.problem_models import Problem
 from ...schemas.ids import RECHECK, RISK_CHECK, SHRINK, SPOT_CHECK, FileId, closing_check, rollout_at
 from ...schemas.result.facts import NO_FAILURE, RECORDED, Header
-from ...schemas.system import SystemSpec
+from ...schemas.system import Parameter, SystemSpec
 from . import tables
 
 TABLES = ("tests", "rollouts", "observations", "counterexamples", "failures", "opinions", "set_aside")
@@ -212,7 +213,8 @@ def _rollouts_table(name: str, header: Header, query: sa.Select[Any], *, violati
             yield *which, *starts[fact.rollout.test - row.first], *values, *found, *attempt
 
     robustness = ExportColumn("robustness", unit=robustness_unit(header.config, header.spec))
-    columns = (*_ROLLOUT, *_starts(header), *_disturbances(header), robustness, *_REMARKS, *_FILE, *_ATTEMPT)
+    disturbances = _declared("disturbance", header.spec.disturbances)
+    columns = (*_ROLLOUT, *_starts(header), *disturbances, robustness, *_REMARKS, *_FILE, *_ATTEMPT)
     return ExportTable(name, columns, query, expand)
 
 
@@ -325,15 +327,14 @@ def _objectives(header: Header) -> dict[str, tuple[str, str]]:
 
 
 def _starts(header: Header) -> tuple[ExportColumn, ...]:
-    """Return the parameters; one that is called like a column of ours gets a name that is free."""
-    names = ((each.name, each.unit) for each in header.spec.parameters)
-    return tuple(ExportColumn(f"start_{name}" if name in _TAKEN else name, unit=unit) for name, unit in names)
+    """Return the parameters."""
+    return _declared("start", header.spec.parameters)
 
 
-def _disturbances(header: Header) -> tuple[ExportColumn, ...]:
-    """Return the disturbances, named as the parameters are."""
-    names = ((each.name, each.unit) for each in header.spec.disturbances)
-    return tuple(ExportColumn(f"disturbance_{name}" if name in _TAKEN else name, unit=unit) for name, unit in names)
+def _declared(what: str, numbers: Iterable[Parameter | Disturbance]) -> tuple[ExportColumn, ...]:
+    """Return numbers that a system declares; one that is called like a column of ours gets a name that is free."""
+    names = ((f"{what}_{each.name}" if each.name in _TAKEN else each.name, each.unit) for each in numbers)
+    return tuple(ExportColumn(name, unit=unit) for name, unit in names)
 
 
 _OURS = (*_ROLLOUT, *_FILE, *_ATTEMPT, *_OBJECTIVE, *_EXPECTED, *_BOUNDS, *_REPLICATE)

@@ -208,7 +208,7 @@ class CampaignKeys(CampaignSize):
     control: Literal["on", "off"] = Field(
         default="on",
         exclude_if=lambda control: control == "on",
-        description="of declared disturbances: whether bounds of means take out what they explain of the values",
+        description="of method `kriging`: whether the bound takes out what declared disturbances explain of rollouts",
     )
     space: Space = Field(description="D, all starting conditions")
     where: str | None = Field(

@@ -180,7 +180,7 @@ def a_problem(norm: float = 0.15, tests: int = 240, resolution: int = 7, scale: 
     points = lattice.nodes[list(design.nodes)]
     kernel, counts = between(radial, points, points), np.array(design.counts, dtype=np.float64)
     terms = WeightTerms(norm, DELTA, 0.2, 0.75, 0.25)
-    planned = plan_weights(between(radial, lattice.nodes, points), kernel, counts, terms)
+    planned, _ = plan_weights(between(radial, lattice.nodes, points), kernel, counts, terms)
     premises = KrigingPremises(norm, 0.75, (0.0, 1.0), DELTA)
     return Problem(lattice, radial, points, counts, planned, kernel, NodeCells(lattice, radial, points), premises)
 

@@ -18,6 +18,7 @@ from ....schemas.result.certificate import (
     Certificate,
     CertificateClaim,
     CompositionTerms,
+    ControlResult,
     MostStarts,
     Predicate,
     ProblemResult,
@@ -76,8 +77,12 @@ PLANNED = {"sample": "all its samples were drawn", "kriging": "all its tests wer
 VACUOUS = "It shows nothing: the clip alone proves it."
 CERTAIN = "It shows nothing: every probability is at most 1."
 NO_SHARE = "It shows nothing: no start is certified safe."
-VARIED = {("rkhs_norm", 2.0): "2 B", ("rkhs_norm", 4.0): "4 B", ("length_scale", 0.5): "half the length scale"}
-VARIED |= {("control", 0.0): "no control of disturbances"}
+VARIED = {
+    ("rkhs_norm", 2.0): "2 B",
+    ("rkhs_norm", 4.0): "4 B",
+    ("length_scale", 0.5): "half the length scale",
+    ("control", 0.0): "no control of disturbances",
+}
 """Names of the variations of the sensitivity."""
 
 
@@ -227,19 +232,18 @@ def notes(predicate: Predicate, number: int) -> tuple[str, ...]:
         both = ", in both problems" if composes(claim.rule) else ""
         values = "; ".join(f"with {VARIED[row.constant, row.factor]} {_varied(claim, row.bound)}" for row in rows)
         found.append(f"The same tests{both}: {values}.")
-    found += [control_words(each) for each in predicate.problems if number == 0 and each.control]
+    if number == 0:
+        found += [_control_words(each.name, each.control) for each in predicate.problems if each.control is not None]
     most = predicate.spot_check and predicate.spot_check.most_starts
     if number == 0 and most and not is_irreproducible(claim):
         found.append(_sentence_on_most_starts(most))
     return tuple(found)
 
 
-def control_words(problem: ProblemResult) -> str:
-    """Return what a control has taken out, in a sentence; empty for a problem without one."""
-    if problem.control is None:
-        return ""
-    share = value_text(round(100.0 * problem.control.explained, 1))
-    return f"Declared disturbances explain {share} % of the variance of a rollout; the bound of {problem.name} uses it."
+def _control_words(problem: str, control: ControlResult) -> str:
+    """Return what a control has taken out, in a sentence."""
+    share = value_text(round(100.0 * control.explained, 1))
+    return f"Declared disturbances explain {share} % of the variance of a rollout; the bound of {problem} uses it."
 
 
 def is_irreproducible(claim: CertificateClaim) -> bool:

@@ -21,13 +21,12 @@ from ...gp.radial import Radial
 from .audit import NormAudit, PointMeans
 from .bound import GuessedMean, KrigingBounds, KrigingPremises
 from .cells import NodeCells, between
-from .weights import WeightTerms, planned_weights
+from .weights import WeightTerms, plan_weights
 
 SLACK = 1e-12
 """Of a range, by which the sums of a control may be rounded."""
 EXPECTED = 0.6
 """Of the noise that the first fit leaves, what later ones leave; 1.2 lost 0.004 of the bound of 1,000 rollouts."""
-
 CHANCE = 1.1
 """Noise makes a bound, the least of many, lower than expected: by about a tenth of what it is expected to lose."""
 
@@ -74,7 +73,7 @@ class Bets:
         return KrigingBounds(weights, kernels.inner, cells, self.premises, error=kernels.radial.error)
 
     def replan(self, spread: float, weights: Floats, means: PointMeans) -> None:
-        """Go on with other weights, for another noise; `means` are those of the rollouts so far, less that noise.
+        """Continue with other weights, for another noise; `means` are those of the rollouts so far, less that noise.
 
         All are functions of the rollouts before, so that the martingales stay what they are.
         """
@@ -85,7 +84,7 @@ class Bets:
     def planned(self, spread: float, ends: tuple[float, float]) -> tuple[Floats, float]:
         """Return weights for rollouts with this noise and range, and the most that a node is expected to lose."""
         terms = _weight_terms(self.premises, spread, ends)
-        found, losses = planned_weights(self.kernels.to_nodes, self.kernels.inner, self.counts, terms)
+        found, losses = plan_weights(self.kernels.to_nodes, self.kernels.inner, self.counts, terms)
         return found, float(losses.max())
 
     @property
@@ -133,6 +132,9 @@ class ControlledBets:
 
     def observe(self, point: int, values: Sequence[float]) -> None:
         """Bet on the rollouts of one test, before the control sees them."""
+        if not self._is_used:
+            self.bets.observe(point, values)
+            return
         x, scores = np.array(values), self._scores(self._tests)
         starts = np.repeat(self._shares[[point]], len(x), axis=0)
         self._bet(point, starts, scores, x)
@@ -145,10 +147,10 @@ class ControlledBets:
             self._begin()
 
     def _bet(self, point: int, starts: Floats, scores: Floats, x: Floats) -> None:
-        low, high = self.bets.premises.ends
         if self.control is None:
-            self.bets.observe(point, x.tolist(), (low, high))
+            self.bets.observe(point, x.tolist(), self.bets.premises.ends)
             return
+        low, high = self.bets.premises.ends
         g, least, most = self.control.values(starts, scores)
         slack = SLACK * (high - low)
         self.bets.observe(point, (x - g).tolist(), (low - float(most[0]) - slack, high - float(least[0]) + slack))

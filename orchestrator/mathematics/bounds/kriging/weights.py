@@ -70,8 +70,8 @@ class WeightTerms:
         return -math.log(self.delta)
 
 
-def plan_weights(to_nodes: Floats, kernel: Floats, counts: Floats, terms: WeightTerms) -> Floats:
-    """Return v of every node and point, (m, q), per unit X; 0 at points without rollouts.
+def plan_weights(to_nodes: Floats, kernel: Floats, counts: Floats, terms: WeightTerms) -> tuple[Floats, Floats]:
+    """Return v of every node and point, (m, q), per unit X, and what the bound of each node is expected to lose, (m,).
     Implements eq. (weights) of [PB].
 
     Formula: at the head of this module. For fixed kappa it is convex; coordinate descent, in which the norm is replaced
@@ -80,16 +80,11 @@ def plan_weights(to_nodes: Floats, kernel: Floats, counts: Floats, terms: Weight
 
     >>> terms = WeightTerms(rkhs_norm=1.0, delta=0.05, spread=0.1, room_below=1.0, room_above=1.0)
     >>> kernel = np.array([[1.0, 0.2], [0.2, 1.0]])
-    >>> v = plan_weights(kernel, kernel, np.array([400.0, 400.0]), terms)
+    >>> v, losses = plan_weights(kernel, kernel, np.array([400.0, 400.0]), terms)
     >>> bool(v[0, 0] > 0.9 * v[0].sum()), bool(abs(v[0, 0] - v[1, 1]) < 1e-12)
     (True, True)
 
     """
-    return planned_weights(to_nodes, kernel, counts, terms)[0]
-
-
-def planned_weights(to_nodes: Floats, kernel: Floats, counts: Floats, terms: WeightTerms) -> tuple[Floats, Floats]:
-    """Return the weights, and what the bound of each node is expected to lose with them, (m,), unit X."""
     planned = counts > 0
     descent = _Descent(to_nodes[:, planned], kernel[np.ix_(planned, planned)], counts[planned], terms)
     best, found = np.full(len(to_nodes), np.inf), np.zeros_like(to_nodes)
