@@ -221,13 +221,23 @@ def test_a_missing_file_and_one_that_is_a_folder(here: Here) -> None:
 
 # Faults that only the system under test can detect
 
+LAWS = 'gains = "paper"\n[disturbances]\n'
+NORMAL = '{ distribution = "normal", mean = 0.0, sd = 0.1 }'
+
 
 @pytest.mark.parametrize(
     ("old", "new", "key", "allowed"),
     [
         ('gains = "paper"', 'gains = "papers"', "system.gains", "choose from paper, aggressive"),
-        ("noise_variance = 0.05", "noise_variance = -1.0", "system.noise_variance", ">= 0 and <= 1 m^2"),
-        ("noise_variance = 0.05", "noise = 0.05", "system.noise", "allowed for segway are name, gains, noise_variance"),
+        ('gains = "paper"', "noise = 0.05", "system.noise", "allowed for segway are name, gains"),
+        ('gains = "paper"', f"{LAWS}phi_eror = {NORMAL}", "disturbances.phi_eror", "did you mean 'phi_error'?"),
+        (
+            'gains = "paper"',
+            f"{LAWS}x_error.unit = 'rad'\nx_error.scipy = 't'",
+            "disturbances.x_error.unit",
+            "takes 'm'",
+        ),
+        ('gains = "paper"', f"{LAWS}x_error.scipy = 't'", "disturbances.x_error", "scipy: t takes df, loc, scale"),
         ("high = 5.0", "high = 500.0", "space.x", "the range of segway"),
         ('unit = "m"', 'unit = "km"', "space.x.unit", "segway takes 'm'"),
         ("\nx = {", "\nz = {", "space.z", "segway has x, y"),
@@ -383,8 +393,12 @@ def test_resume_of_a_finished_campaign_prints_it_and_changes_nothing(here: Here,
         (["--x", "0,0", "--horizon", "nan"], "--horizon nan: segway takes 0 to 120 s"),
         (["--x", "0,0", "--horizon", "121"], "--horizon 121: segway takes 0 to 120 s"),
         (["--x", "0,0", "--option", "gains=wild"], "--option gains=wild: allowed are paper, aggressive"),
-        (["--x", "0,0", "--option", "noise_variance=nan"], "--option noise_variance=nan: 'nan' is not a finite number"),
-        (["--x", "0,0", "--option", "wind=1"], "--option wind=1: segway has the options gains, noise_variance"),
+        (["--x", "0,0", "--disturbance", "x_error=nan"], "--disturbance x_error=nan: 'nan' is not a finite number"),
+        (
+            ["--x", "0,0", "--disturbance", "wind=1"],
+            "--disturbance wind=1: segway has the disturbances x_error, y_error",
+        ),
+        (["--x", "0,0", "--option", "wind=1"], "--option wind=1: segway has the options gains"),
     ],
 )
 @pytest.mark.usefixtures("asked")
@@ -396,10 +410,12 @@ def test_a_rollout_that_cannot_be_run(here: Here, arguments: list[str], reason: 
 
 
 def test_a_rollout_that_only_the_simulator_refuses(started: Processes) -> None:
-    base = ["simulate", "segway", "--x", "0,0", "--horizon", "1"]
-    ended = started.run("perfbound", *base, "--option", "noise_variance=7", "--out", "o.mcap")
+    base = ["simulate", "test-function", "--x", "0,0"]
+    ended = started.run("perfbound", *base, "--option", "noise_sd=7", "--out", "o.mcap")
     assert ended.code == 1
-    assert "noise_variance is a number in [0.0, 1.0], not 7.0" in ended.fault
+    assert "noise_sd is a number in [0.0, 1.0], not 7.0" in ended.fault
+    ended = started.run("perfbound", *base, "--option", "noise_sd=nan", "--out", "o.mcap")
+    assert "--option noise_sd=nan: 'nan' is not a finite number" in ended.fault
     ended = started.run("perfbound", *base, "--out", "no/where.mcap")
     assert ended.code == 1
     assert "no/where.mcap: No such file or directory" in ended.fault
