@@ -163,7 +163,7 @@ def test_the_table_names_every_check_and_the_verdict(started: Processes) -> None
     shown = {check for check in SYSTEM_CHECKS if any(row.startswith(check) for row in rows)}
     assert shown == SYSTEM_CHECKS.keys() - {"disturbances"}, "the system declares none"
     assert "Let the first sample be at 0 and the last one at the horizon" in ended.out
-    assert rows[-1] == "short, rollouts of 10 s: 14 passed, 1 failed; fix what failed before you run a campaign"
+    assert rows[-1] == "short, rollouts of 10 s: 15 passed, 1 failed; fix what failed before you run a campaign"
 
 
 @pytest.mark.parametrize(
