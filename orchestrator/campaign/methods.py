@@ -19,6 +19,7 @@ from ...schemas.file.problem_models import (
 )
 from ...schemas.ids import RolloutId
 from ...schemas.result.facts import Header
+from ...schemas.system import SystemSpec
 from ..mathematics.bounds.joint import JointMethod
 from ..mathematics.bounds.kriging.bound import KrigingPremises
 from ..mathematics.bounds.kriging.design import points_per_parameter
@@ -213,10 +214,14 @@ def _disturbed(plan: ProblemPlan, header: Header) -> Disturbed | None:
     """Return the disturbances of the rollouts of a problem; None where no control is asked for, or possible."""
     if not plan.controlled:
         return None
-    laws = header.spec.disturbances
+    return Disturbed(bases(header.spec), _Scores(plan, header).of)
+
+
+def bases(spec: SystemSpec) -> tuple[Basis, ...]:
+    """Return the functions of each disturbance that a system declares, of which there is one at least."""
+    laws = spec.disturbances
     knots = min(max(MOST_FUNCTIONS // len(laws), 2), MOST_KNOTS)
-    bases: list[Basis] = [choice_basis(law.shares, knots) if law.choices else normal_basis(knots) for law in laws]
-    return Disturbed(tuple(bases), _Scores(plan, header).of)
+    return tuple(choice_basis(law.shares, knots) if law.choices else normal_basis(knots) for law in laws)
 
 
 class _Scores:

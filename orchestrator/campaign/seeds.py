@@ -10,6 +10,7 @@ from ...schemas.batch import batch_rollouts
 from ...schemas.ids import RECHECK, RISK_CHECK, SPOT_CHECK, RolloutId, check_of_extension
 from ...schemas.ranges import SEED_BITS
 from ...schemas.result.facts import Header
+from ...schemas.system import SystemSpec
 from ..mathematics.seed_words import first_states
 
 Floats = NDArray[np.float64]
@@ -20,7 +21,7 @@ def rollout_seed(header: Header, rollout: RolloutId) -> int:
     """Return the seed of a rollout, below 2^53 or what its system takes; a retry uses the same one."""
     if header.spec.seed_bits < SEED_BITS:
         return _short_seed(header, rollout)
-    place = rollout.test, _variant(header, rollout), rollout.replicate
+    place = rollout.test, variant_number(header.spec, rollout.variant), rollout.replicate
     state = _sequence(header, rollout.problem, *place).generate_state(1, np.uint64)
     # 53 bits: every JSON reader keeps such a number exactly.
     return int(state[0] >> np.uint64(11))
@@ -32,18 +33,18 @@ def rollout_seeds(header: Header, first: RolloutId, tests: int, replicates: int)
         return [rollout_seed(header, rollout) for rollout in batch_rollouts(first, tests, replicates)]
     numbers = np.repeat(np.arange(first.test, first.test + tests, dtype=np.uint32), replicates)
     places = np.tile(np.arange(first.replicate, first.replicate + replicates, dtype=np.uint32), tests)
-    variants = np.full(numbers.shape, _variant(header, first), dtype=np.uint32)
+    variants = np.full(numbers.shape, variant_number(header.spec, first.variant), dtype=np.uint32)
     entropy = header.config.seed, int(header.config_sha256, 16)
     found = first_states(entropy, [zlib.crc32(first.problem.encode())], [numbers, variants, places])
     return [int(each) for each in found >> np.uint64(11)]
 
 
-def _variant(header: Header, rollout: RolloutId) -> int:
+def variant_number(spec: SystemSpec, variant: str) -> int:
     """Return the number of a variant among the seeds: with declared disturbances it is the same for both.
 
     So nominal and true rollouts of a pair have equal disturbances, and their difference loses what both share.
     """
-    return 0 if header.spec.disturbances else VARIANTS.index(rollout.variant)
+    return 0 if spec.disturbances else VARIANTS.index(variant)
 
 
 def first_node(header: Header, problem: str, size: int) -> int:
@@ -79,7 +80,7 @@ def _short_seed(header: Header, rollout: RolloutId) -> int:
     tests = max(config.spot_check + config.spot_check_followups, *map(config.max_tests_of, config.problems))
     replicates = max(config.spot_replicates, *map(config.replicates_of, config.problems))
     test = _numbered(series, tests, rollout)
-    number = (test * replicates + rollout.replicate) * len(VARIANTS) + _variant(header, rollout)
+    number = (test * replicates + rollout.replicate) * len(VARIANTS) + variant_number(header.spec, rollout.variant)
     keys = _sequence(header, "seeds").generate_state(3, np.uint64)
     for key in map(int, keys):
         # Each step can be undone modulo 2^bits: an odd factor has an inverse, and a shifted number gives back its top.

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from ....schemas.file.config import CampaignConfig
+from ....schemas.file.problem_models import KrigingProblem
 from ....schemas.values import Guess
 from ...campaign.methods import kernel_method
 from ...campaign.plan import ProblemPlan
@@ -26,9 +27,9 @@ from ...mathematics.bounds.kriging.design import points_per_parameter
 from ...mathematics.bounds.kriging.method import KrigingMethod
 from ...mathematics.calibration.kernel_fit import KernelFit
 from ...mathematics.gp.kernels import Floats, squared_distances
-from ..rounded import PARTS
+from ..rounded import PARTS, rounded_up
 from ..size import LEAST_COST, PER_SECOND, WORKERS
-from .constants import Constant, ProblemEvidence
+from .constants import Constant, ProblemEvidence, spread_of
 
 # How long the rollouts of a calibrated campaign take.
 
@@ -233,7 +234,12 @@ class _Forecaster:
 
     def _planned(self, rollouts: int) -> ProblemPlan:
         tests, replicates = division(rollouts, len(self.measured.box.names))
-        return replace(self.plan, budget=tests, replicates=replicates)
+        plan, problem = replace(self.plan, budget=tests, replicates=replicates), self.plan.problem
+        if not (plan.controlled and isinstance(problem, KrigingProblem)):
+            return plan
+        # After its first fit the campaign plans its weights for what the control leaves.
+        left = rounded_up(spread_of(self.measured, self.measured.values))
+        return replace(plan, problem=problem.model_copy(update={"spread": left}))
 
     def _bounds(self, method: KrigingMethod) -> Floats:
         """Return bounds of J at the end of the budget, (r,)."""

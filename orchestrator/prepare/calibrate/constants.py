@@ -100,7 +100,9 @@ class ProblemEvidence:
     shares: Floats
     """Starts as shares of the ranges, (n, p)."""
     values: Floats
-    """Shape (n, k)."""
+    """Less what the control explains, as all values below; shape (n, k)."""
+    plain: Floats
+    """The same without a control."""
     noisiest: tuple[int, ...]
     """Starts with further rollouts."""
     at_noisiest: Floats
@@ -120,6 +122,12 @@ class ProblemEvidence:
     def noisy(self) -> bool:
         """Whether rollouts depend on the seed."""
         return int(self.values.shape[1]) > 1
+
+    @property
+    def explained(self) -> float:
+        """Share of the variance of a rollout at its start that the control takes out."""
+        whole = pooled(self.plain) ** 2
+        return 1.0 - pooled(self.values) ** 2 / whole if whole > 0 else 0.0
 
     @property
     def data(self) -> SampledValues:
@@ -273,18 +281,28 @@ def _prediction(measured: ProblemEvidence, trial: KernelTrial) -> str:
 
 
 def _spread_constant(measured: ProblemEvidence) -> Constant:
-    values = measured.values
-    least = 0.01 * float(np.ptp(values)) or 0.01
     if not measured.noisy:
-        return Constant(
-            "spread", rounded_up(least), "The rollouts do not depend on the seed; a hundredth of the range."
-        )
-    worst = _worst_starts(measured.shares, -values)
+        least = rounded_up(_least_spread(measured.plain))
+        return Constant("spread", least, "The rollouts do not depend on the seed; a hundredth of the range.")
+    # Until its first fit a campaign has no control.
     reason = (
-        f"Standard deviation of a rollout at the {len(worst)} worst of {len(values):,} starts, where the bound has to "
-        "be sharp; no assumption."
+        f"Standard deviation of a rollout at the {len(_lowest(measured))} worst of {len(measured.values):,} starts, "
+        "where the bound has to be sharp; no assumption."
     )
-    return Constant("spread", rounded_up(max(pooled(values[worst]), least)), reason)
+    return Constant("spread", rounded_up(spread_of(measured, measured.plain)), reason)
+
+
+def spread_of(measured: ProblemEvidence, values: Floats) -> float:
+    """Return the standard deviation of a rollout at the worst starts; `values` (n, k) are with or without a control."""
+    return max(pooled(values[_lowest(measured)]), _least_spread(values))
+
+
+def _lowest(measured: ProblemEvidence) -> NDArray[np.intp]:
+    return _worst_starts(measured.shares, -measured.values)
+
+
+def _least_spread(values: Floats) -> float:
+    return 0.01 * float(np.ptp(values)) or 0.01
 
 
 def _noise_constant(measured: ProblemEvidence) -> Constant:

@@ -13,7 +13,7 @@ from ....schemas.file.config import CampaignConfig
 from ....schemas.file.parameters import parameter_ranges
 from ....schemas.system import SystemSpec
 from ...campaign.region import Start, condition
-from ...campaign.seeds import VARIANTS
+from ...campaign.seeds import variant_number
 from ...campaign.starts import DIGITS
 from ...mathematics.calibration.noise import NOISIEST
 from ...mathematics.calibration.steepness import PLACES
@@ -121,13 +121,13 @@ class Box:
         raise CampaignError("space.where: almost no start of the ranges is in the region; choose narrower ranges")
 
 
-def calibration_seed(digest: str, seed: int, place: tuple[int, int], variant: str, bits: int) -> int:
-    """Return the seed of a rollout, below 2^bits, from the digest of the draft, `--seed` and its (start, replicate).
+def calibration_seed(digest: str, seed: int, place: tuple[int, int], variant: str, spec: SystemSpec) -> int:
+    """Return the seed of a rollout, in the system's bits, from the draft's digest, `--seed` and (start, replicate).
 
     Campaigns derive theirs from the names of their problems, of which none is `NAME`.
     """
-    sequence = _seed_sequence(seed, digest, *place, VARIANTS.index(variant))
-    return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(64 - bits))
+    sequence = _seed_sequence(seed, digest, *place, variant_number(spec, variant))
+    return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(64 - spec.seed_bits))
 
 
 def _seed_sequence(seed: int, text: str, *place: int) -> np.random.SeedSequence:

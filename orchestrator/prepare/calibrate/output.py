@@ -77,6 +77,11 @@ def closing_lines(found: Calibration, folder: Path) -> Iterator[str]:
         if problem.choice.chosen is None:
             yield f"{problem.name}: no kernel is trustworthy."
             yield from (f"  {doubt}" for doubt in problem.doubts)
+        if problem.measured.plan.controlled:
+            yield (
+                f"{problem.name}: the declared disturbances explain {100 * problem.measured.explained:.0f} % of the "
+                "variance of a rollout at its start; the constants are those of what is left."
+            )
         clipped = problem.measured.clipped
         if clipped is not None and clipped > MOST_CLIPPED:
             yield (
@@ -213,6 +218,7 @@ def _problem_numbers(found: ProblemCalibration) -> dict[str, Any]:
             for each in measured.descents
         ],
         "clipped": measured.clipped,
+        "explained_by_disturbances": measured.explained if measured.plan.controlled else None,
     }
 
 

@@ -12,6 +12,7 @@ from ....schemas.file.objectives import OBJECTIVES, rolled_out
 from ....schemas.file.problem_models import KrigingProblem, Linearised, RigorousProblem
 from ....schemas.system import SystemSpec
 from ...campaign import plan as plans
+from ...campaign.methods import bases
 from ...campaign.region import Start
 from ...mathematics.calibration.noise import noisiest, pooled
 from ...mathematics.calibration.sampled import SampledValues
@@ -27,6 +28,7 @@ from .constants import (
     linearised_constants,
     required_objective,
 )
+from .control import PilotControl, PilotRollouts
 from .design import ROLLOUTS, Box, RolloutBudget
 from .rollouts import RolloutBatch, StartRollout
 
@@ -55,6 +57,10 @@ class Simulated(Protocol):
         """Return J of each, with the clip and the constants of `config`."""
         ...
 
+    def scores(self, wanted: Sequence[StartRollout]) -> Floats:
+        """Return the scores of the disturbances of rollouts (n, w), of a system that declares some."""
+        ...
+
     def robustness(self, batch: RolloutBatch, config: CampaignConfig) -> Values:
         """Return the robustness of each, not clipped."""
         ...
@@ -77,6 +83,7 @@ class CalibrationPilot:
         self._noisy = bool(set(rolled_out(self._problem.name, spec)) & set(spec.noisy))
         self._propose_clip, self._budget = propose_clip, RolloutBudget.of(ROLLOUTS, noisy=self._noisy)
         self._chosen: tuple[Constant, ...] = ()
+        self._control: PilotControl | None = None
         self.clip: Constant | None = None
         """The clip that is proposed, if the draft needs one."""
 
@@ -100,7 +107,9 @@ class CalibrationPilot:
         batch = self._simulated.simulate(wanted)
         shares = self._box.shares(starts)
         clipped = self._settle(batch, shares)
-        values = self._matrix(self._simulated.values(batch, self._config))
+        plain = self._matrix(self._simulated.values(batch, self._config))
+        plan = plans.plan(self._config, self._spec, self._problem)
+        values = self._less_explained(plan, wanted, shares, plain) if plan.controlled else plain
         chosen = noisiest(shares, values) if self._noisy else []
         at_noisiest = self._repeated(starts, chosen, self._budget.at_noisiest, self._budget.replicates)
         variance = pooled(values) ** 2 / values.shape[1] if self._noisy else 0.0
@@ -114,10 +123,11 @@ class CalibrationPilot:
             descents = self._tested(descents, pooled(values), len(starts) * 2)
             repeated |= _at_starts(descents, shares)
         measured = ProblemEvidence(
-            plan=plans.plan(self._config, self._spec, self._problem),
+            plan=plan,
             box=self._box,
             shares=shares,
             values=values,
+            plain=plain,
             noisiest=tuple(chosen),
             at_noisiest=at_noisiest,
             again=repeated,
@@ -151,13 +161,33 @@ class CalibrationPilot:
         has_clip = self.clip is not None or self._draft.clip is not None
         return float(np.mean((robustness <= low) | (robustness >= high))) if has_clip else None
 
+    def _less_explained(
+        self, plan: plans.ProblemPlan, wanted: Sequence[StartRollout], shares: Floats, plain: Floats
+    ) -> Floats:
+        """Fit the control on the first rollouts (n, k), and return what it leaves of them."""
+        low, high = plans.value_range(plan)
+        assert low is not None, "a problem with a control has a clip"
+        assert high is not None
+        first = PilotRollouts(shares, self._simulated.scores(wanted).reshape(*plain.shape, -1), plain)
+        self._control = PilotControl.of(bases(self._spec), (low, high), first)
+        return plain - self._control.of_first(first)
+
+    def _values(self, wanted: Sequence[StartRollout]) -> Values:
+        """Simulate later rollouts, and return J of each, less what the control explains."""
+        found = self._simulated.values(self._simulated.simulate(wanted), self._config)
+        if self._control is None:
+            return found
+        shares, scores = self._box.shares([each.start for each in wanted]), self._simulated.scores(wanted)
+        g = self._control.of_later(shares, scores[:, None, :])[:, 0].tolist()
+        places = ((each.test, each.replicate) for each in wanted)
+        return {place: found[place] - each for place, each in zip(places, g, strict=True)}
+
     def _repeated(self, starts: Sequence[Start], tests: Sequence[int], count: int, first: int) -> Floats:
         """Return J of further rollouts at some starts, (m, count), whose replicates are numbered from `first`."""
         if not tests:
             return np.empty((0, 0))
         numbers = range(first, first + count)
-        batch = self._simulated.simulate([StartRollout(test, starts[test], r) for test in tests for r in numbers])
-        found = self._simulated.values(batch, self._config)
+        found = self._values([StartRollout(test, starts[test], r) for test in tests for r in numbers])
         return np.array([[found[test, r] for r in numbers] for test in tests])
 
     def _descents(self, data: SampledValues, sd: float, test: int) -> tuple[Descent, ...]:
@@ -171,7 +201,7 @@ class CalibrationPilot:
             if not going:
                 break
             wanted = [StartRollout(test + k, middles[k], r) for k in going for r in range(count)]
-            found = self._simulated.values(self._simulated.simulate(wanted), self._config)
+            found = self._values(wanted)
             for k in going:
                 mean = float(np.mean([found[test + k, r] for r in range(count)]))
                 shares = tuple(self._box.shares([middles[k]])[0].tolist())
@@ -195,7 +225,7 @@ class CalibrationPilot:
         """Return an end by fresh rollouts; `sd` is that of a rollout at most starts."""
         start = self._box.starts(np.array([end.shares]))[0]
         wanted = [StartRollout(test, start, r) for r in range(FRESH)]
-        found = list(self._simulated.values(self._simulated.simulate(wanted), self._config).values())
+        found = list(self._values(wanted).values())
         variance = max(float(np.var(found, ddof=1)), sd**2)  # the noise may differ from start to start
         return End(end.shares, float(np.mean(found)), variance / FRESH)
 

@@ -23,6 +23,7 @@ from ...campaign.admission import check_whole
 from ...campaign.objectives import measured
 from ...campaign.observation import Observer
 from ...campaign.region import Start
+from ...mathematics.gp.kernels import Floats
 from ..child_rollouts import ChildRolloutError, ChildSystem, finished, simulate_in_child
 from ..seen_margins import SeenMargins
 from .design import NAME, calibration_seed
@@ -98,9 +99,17 @@ class CalibrationRollouts:
         return self._plan.variants
 
     def _request(self, wanted: StartRollout, variant: Variant) -> RolloutRequest:
-        place, bits = (wanted.test, wanted.replicate), self._system.spec.seed_bits
-        seed = calibration_seed(f"{self._digest} {self._plan.name}", self._seed, place, variant, bits)
-        return self._template.request(RolloutId(NAME, wanted.test, variant, wanted.replicate), wanted.start, seed)
+        rollout = RolloutId(NAME, wanted.test, variant, wanted.replicate)
+        return self._template.request(rollout, wanted.start, self._seed_of(wanted, variant))
+
+    def _seed_of(self, wanted: StartRollout, variant: Variant) -> int:
+        digest, place = f"{self._digest} {self._plan.name}", (wanted.test, wanted.replicate)
+        return calibration_seed(digest, self._seed, place, variant, self._system.spec)
+
+    def scores(self, wanted: Sequence[StartRollout]) -> Floats:
+        """Return the scores of the disturbances of rollouts (n, w), of a system that declares some."""
+        assert self._template.laws is not None, "only a controlled problem is asked for scores"
+        return self._template.laws.scores([self._seed_of(each, self._variants[0]) for each in wanted])
 
     def _run(self, batch: RolloutBatch) -> None:
         ended, done = threading.Event(), [0] * len(batch.parts)

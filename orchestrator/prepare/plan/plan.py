@@ -220,9 +220,8 @@ def _pilot(header: Header, found: Plans, system: ChildSystem) -> _Pilot:
         for variant, count in _pilot_variants(header, found).items():
             for replicate in range(count):
                 place = RolloutId(NAME, test, variant, replicate)
-                seed = calibration_seed(
-                    f"{header.config_sha256} {NAME}", 0, (test, replicate), variant, header.spec.seed_bits
-                )
+                digest = f"{header.config_sha256} {NAME}"
+                seed = calibration_seed(digest, 0, (test, replicate), variant, header.spec)
                 requests.append(header.template.request(place, start, seed))
     with tempfile.TemporaryDirectory(prefix="perfbound-plan-") as name:
         folder, begin = Path(name), time.time()

@@ -98,6 +98,10 @@ class FunctionRollouts:
         """Return the robustness."""
         return self._batches[batch.number - 1]
 
+    def scores(self, wanted: Sequence[StartRollout]) -> Floats:
+        """Return nothing for each: no disturbance is declared."""
+        return np.empty((len(wanted), 0))
+
 
 @dataclass(frozen=True, slots=True)
 class Outcome:

@@ -70,8 +70,9 @@ def test_starts_are_distinct_in_the_region_and_nested() -> None:
 
 
 def test_seeds_differ_and_have_the_bits_of_the_system() -> None:
+    system = spec(noisy=True).model_copy(update={"seed_bits": 31})
     seeds = {
-        calibration_seed(digest, seed, (test, replicate), variant, 31)
+        calibration_seed(digest, seed, (test, replicate), variant, system)
         for digest in ("a", "b")
         for seed in (1, 2)
         for test in range(20)
