@@ -81,7 +81,7 @@ def _one_method(plan: ProblemPlan, header: Header) -> OneMethod:
     problem = plan.problem
     match problem:
         case PaperProblem() | RigorousProblem() | KrigingProblem():
-            return kernel_method(plan, header)
+            return kernel_method(plan, disturbed(plan, header))
         # Of a risk without constants the method bounds the mean, and [BD] the variance: no risk is observed.
         case ScenarioProblem():
             constants = problem.linearised if isinstance(problem.linearised, Linearised) else None
@@ -110,8 +110,8 @@ def _scenario_risk(problem: ScenarioProblem) -> Risk:
     return "predictable" if problem.linearised == "past" else "linearised"
 
 
-def kernel_method(plan: ProblemPlan, header: Header | None = None) -> PaperMethod | RigorousMethod | KrigingMethod:
-    """Return the method of a problem with a kernel; without a header it knows no disturbances. Raises as `method`."""
+def kernel_method(plan: ProblemPlan, known: Disturbed | None = None) -> PaperMethod | RigorousMethod | KrigingMethod:
+    """Return the method of a problem with a kernel, with the disturbances of its rollouts; raises as `method`."""
     problem = plan.problem
     if isinstance(problem, PaperProblem):
         parameters = PaperParameters(
@@ -127,7 +127,7 @@ def kernel_method(plan: ProblemPlan, header: Header | None = None) -> PaperMetho
         )
         return PaperMethod(_lattice(plan), kernel(plan, problem), parameters, refine=problem.refine)
     if isinstance(problem, KrigingProblem):
-        return _kriging_method(plan, problem, None if header is None else _disturbed(plan, header))
+        return _kriging_method(plan, problem, known)
     assert isinstance(problem, RigorousProblem)
     premises = Premises(
         rkhs_norm=problem.rkhs_norm,
@@ -148,7 +148,7 @@ def kernel_method(plan: ProblemPlan, header: Header | None = None) -> PaperMetho
     )
 
 
-def _kriging_method(plan: ProblemPlan, problem: KrigingProblem, disturbed: Disturbed | None) -> KrigingMethod:
+def _kriging_method(plan: ProblemPlan, problem: KrigingProblem, known: Disturbed | None) -> KrigingMethod:
     low, high = value_range(plan)
     assert low is not None, "the campaign file is checked for a clip"
     assert high is not None
@@ -161,7 +161,7 @@ def _kriging_method(plan: ProblemPlan, problem: KrigingProblem, disturbed: Distu
         # A guess is allowed: it decides how tight the bound is, and not whether it holds.
         spread=problem.spread or (constants.spread if constants else (high - low) / 10),
         budget=KrigingBudget(plan.budget, plan.replicates, problem.points or default),
-        disturbed=disturbed,
+        disturbed=known,
     )
 
 
@@ -210,7 +210,7 @@ def _mixture(problem: RigorousProblem, noise: float) -> tuple[tuple[float, float
     return ((problem.regulariser, 1.0),)
 
 
-def _disturbed(plan: ProblemPlan, header: Header) -> Disturbed | None:
+def disturbed(plan: ProblemPlan, header: Header) -> Disturbed | None:
     """Return the disturbances of the rollouts of a problem; None where no control is asked for, or possible."""
     if not plan.controlled:
         return None

@@ -15,7 +15,7 @@ from ...schemas.file.problem_models import KernelProblem, RigorousProblem
 from ...schemas.result import certificate as document
 from ...schemas.result.facts import Header
 from ..campaign.clip import by_clip, floored, is_vacuous, least_risk, of_drawn_starts
-from ..campaign.methods import Methods, ProblemMethod, kernel_method
+from ..campaign.methods import Methods, ProblemMethod, disturbed, kernel_method
 from ..campaign.plan import Plans, ProblemPlan
 from ..campaign.series import Account
 from ..mathematics.bounds.rounding import decimal
@@ -111,7 +111,7 @@ def _varied(
         tests = account.closed
         # A kernel can be out of the range of the mathematics with another constant; then it gives no bound.
         try:
-            fresh = kernel_method(changed, header)
+            fresh = kernel_method(changed, disturbed(changed, header))
             again = fresh.bound_after(tests)
         except ValueError:
             continue

@@ -176,7 +176,7 @@ class Problem:
 
 def a_problem(norm: float = 0.15, tests: int = 240, resolution: int = 7, scale: float = 0.7) -> Problem:
     lattice, radial = Lattice((0.0, 0.0), (1.0, 1.0), resolution), Radial(Matern(2.5, scale))
-    design = plan_design(lattice, tests, 3)
+    design = plan_design(lattice, tests, 3, lattice.high)
     points = lattice.nodes[list(design.nodes)]
     kernel, counts = between(radial, points, points), np.array(design.counts, dtype=np.float64)
     terms = WeightTerms(norm, DELTA, 0.2, 0.75, 0.25)

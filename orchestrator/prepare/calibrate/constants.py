@@ -23,7 +23,7 @@ from ...mathematics.calibration.kernel_fit import KernelFit
 from ...mathematics.calibration.noise import FALLS, MARGIN, largest_deviation, nearest_starts, noise_scale, pooled
 from ...mathematics.calibration.sampled import SampledValues
 from ...mathematics.calibration.steepness import Descent
-from ...mathematics.calibration.trust import EXACT_MARGIN, NOISY_MARGIN, Choice, KernelTrial, choose_kernel
+from ...mathematics.calibration.trust import Choice, KernelTrial, choose_kernel, margin
 from ...mathematics.gp.kernels import Floats
 from ..rounded import PARTS, rounded, rounded_up
 from .design import Box
@@ -260,7 +260,7 @@ def _kernel_constants(measured: ProblemEvidence, choice: Choice, trial: KernelTr
         )
     yield Constant("kernel", {"nu": trial.fit.nu, "length_scale": lengths}, why)
     steps = ", ".join(f"{norm:.3g} at {size}" for size, norm in zip(growth.sizes, growth.norms, strict=True))
-    factor = EXACT_MARGIN if data.exact else NOISY_MARGIN
+    factor = margin(data)
     if choice.plain:
         reason = "So much may hide in the noise: the values show nothing else."
         yield Constant("rkhs_norm", rounded_up(trial.bound), reason, "3 standard errors of a mean, or more")

@@ -25,7 +25,12 @@ def main() -> int:
     options = parser.parse_args()
     segway = subject()
     recorded = record(segway, options.rollouts)
-    curves, truth = [curve(segway, recorded, norm, options.seeds) for norm in NORMS], worst(segway, recorded)
+    curves = [
+        curve(segway, recorded, norm, options.seeds, controlled=controlled)
+        for controlled in (True, False)
+        for norm in NORMS
+    ]
+    truth = worst(segway, recorded)
     sys.stdout.write(table(summary(curves, truth, recorded.total)))
     if options.write is not None:
         write(options.write, curves, truth, recorded.total)

@@ -3,21 +3,25 @@
 Every campaign draws its rollouts with replacement from the record of its starts: all of one law, that of the record.
 """
 
+from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from perfbound.orchestrator.campaign.methods import kernel_method
+from perfbound.orchestrator.campaign.methods import bases, kernel_method
+from perfbound.orchestrator.mathematics.bounds.kriging.design import Design
 from perfbound.orchestrator.mathematics.bounds.kriging.method import KrigingMethod
 from perfbound.orchestrator.mathematics.bounds.one_law.risk import linearised
+from perfbound.orchestrator.mathematics.control.sequence import Disturbed
 from perfbound.orchestrator.mathematics.gp.kernels import Floats
 from perfbound.schemas.file.problem_models import KrigingProblem
 from perfbound.schemas.values import Bound, Observation
 from tests.studies.tightness.rollouts import SEED, Recorded, Subject
 
-NORMS = (0.2, 0.26, 0.5, 1.0)
+NORMS = (0.14, 0.23, 0.36, 0.5, 1.0)
 SEEDS = 21
 
 
@@ -47,29 +51,57 @@ class Curve:
     bounds: dict[int, list[float]]
     refuted: int
     """Campaigns whose audit refutes the norm."""
+    controlled: bool = True
 
 
-def curve(subject: Subject, recorded: Recorded, norm: float, seeds: int = SEEDS) -> Curve:
-    """Return the bounds of `seeds` campaigns of every budget; a seed has the same rollouts with every norm."""
+def curve(subject: Subject, recorded: Recorded, norm: float, seeds: int = SEEDS, *, controlled: bool = True) -> Curve:
+    """Return the bounds of `seeds` campaigns of every budget; a seed has the same rollouts in every curve."""
     values = {node: observed(subject, each) for node, each in recorded.robustness.items()}
     bounds, refuted, alone = dict[int, list[float]](), 0, 0.0
     for place, budget in enumerate(BUDGETS):
         planned = a_method(subject, norm, budget)
         alone = _claim(planned.bound_after([]))
-        found = [campaign(deepcopy(planned), values, budget, (place, seed)) for seed in range(seeds)]
+        found = []
+        for seed in range(seeds):
+            drawn = tests_of(planned.design, recorded, budget, (place, seed))
+            method = a_method(subject, norm, budget, known(subject, drawn)) if controlled else deepcopy(planned)
+            found.append(campaign(method, values, drawn))
         bounds[budget.rollouts] = [_claim(bound) for bound in found]
         refuted += sum(bound.verdict == "refuted" for bound in found)
-    return Curve(norm, alone, bounds, refuted)
+    return Curve(norm, alone, bounds, refuted, controlled)
 
 
-def a_method(subject: Subject, norm: float, budget: Budget) -> KrigingMethod:
+def a_method(subject: Subject, norm: float, budget: Budget, known: Disturbed | None = None) -> KrigingMethod:
     """Return the method of the campaign file with another norm and budget, before its first test."""
     plan = subject.plan
     assert isinstance(plan.problem, KrigingProblem)
     problem = plan.problem.model_copy(update={"rkhs_norm": norm})
-    found = kernel_method(replace(plan, problem=problem, budget=budget.tests, replicates=budget.replicates))
+    found = kernel_method(replace(plan, problem=problem, budget=budget.tests, replicates=budget.replicates), known)
     assert isinstance(found, KrigingMethod)
     return found
+
+
+class Drawn(NamedTuple):
+    """The rollouts of one test."""
+
+    node: int
+    numbers: NDArray[np.intp]
+    scores: Floats
+
+
+def tests_of(design: Design, recorded: Recorded, budget: Budget, number: tuple[int, int]) -> list[Drawn]:
+    """Return the tests of a campaign, whose rollouts are drawn with replacement from the record."""
+    rng = np.random.default_rng(np.random.SeedSequence(SEED, spawn_key=number))
+    found = []
+    for node in (design.nodes[point] for point in design.order):
+        numbers = rng.choice(len(recorded.robustness[node]), budget.replicates)
+        found.append(Drawn(node, numbers, recorded.scores[node][numbers]))
+    return found
+
+
+def known(subject: Subject, tests: Sequence[Drawn]) -> Disturbed:
+    """Return the disturbances of the tests of a campaign."""
+    return Disturbed(bases(subject.system.spec), lambda test: tests[test].scores)
 
 
 def observed(subject: Subject, robustness: Floats) -> Floats:
@@ -79,15 +111,13 @@ def observed(subject: Subject, robustness: Floats) -> Floats:
     return np.array([linearised(value, weight, constants.centre, constants.spread) for value in robustness.tolist()])
 
 
-def campaign(method: KrigingMethod, values: dict[int, Floats], budget: Budget, number: tuple[int, int]) -> Bound:
-    """Return the bound after all tests of a campaign, whose rollouts are drawn with replacement from `values`."""
-    rng = np.random.default_rng(np.random.SeedSequence(SEED, spawn_key=number))
-    tests = []
-    for point in method.design.order:
-        node = method.design.nodes[point]
-        each = -rng.choice(values[node], budget.replicates)
-        tests.append((method.proposal_at(node, ()), Observation(float(each.mean()), tuple(each.tolist()))))
-    return method.bound_after(tests)
+def campaign(method: KrigingMethod, values: dict[int, Floats], tests: Sequence[Drawn]) -> Bound:
+    """Return the bound after all tests of a campaign; `values` are those of X of the record."""
+    observed = []
+    for test in tests:
+        each = -values[test.node][test.numbers]
+        observed.append((method.proposal_at(test.node, ()), Observation(float(each.mean()), tuple(each.tolist()))))
+    return method.bound_after(observed)
 
 
 def _claim(bound: Bound) -> float:

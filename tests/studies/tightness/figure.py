@@ -31,11 +31,15 @@ def figure(curves: Sequence[Curve], truth: Worst, others: dict[str, Claim]) -> F
         axes = found.subplots()
         axes.axhline(truth.risk, color=GREY, linewidth=THICK, linestyle="--")
         axes.text(FIRST * 1.05, truth.risk + 0.012, f"risk at the worst start, {truth.risk:.3f}", color=GREY)
-        shades = mpl.colormaps["Blues"](np.linspace(1.0, 0.45, len(curves)))
-        for each, colour in zip(curves, shades, strict=True):
+        shown = [each for each in curves if each.controlled]
+        shades = mpl.colormaps["Blues"](np.linspace(1.0, 0.45, len(shown)))
+        for each, colour in zip(shown, shades, strict=True):
             _curve(axes, each, colour)
-        ends = [float(np.median(each.bounds[LAST])) for each in curves]
-        for each, colour, height in zip(curves, shades, apart(ends), strict=True):
+            for other in curves:
+                if not other.controlled and other.norm == each.norm:
+                    _without(axes, other, colour)
+        ends = [float(np.median(each.bounds[LAST])) for each in shown]
+        for each, colour, height in zip(shown, shades, apart(ends), strict=True):
             axes.text(LAST * 1.12, height + GAP / 2, f"$B = {each.norm:g}$", color=colour, va="center")
         for name, claim in others.items():
             _other(axes, name, claim)
@@ -70,6 +74,12 @@ def _curve(axes: Axes, found: Curve, colour: object) -> None:
     axes.plot(rollouts, medians, "o-", color=colour, linewidth=THICK, markersize=3)
 
 
+def _without(axes: Axes, found: Curve, colour: object) -> None:
+    rollouts = sorted(found.bounds)
+    medians = [float(np.median(found.bounds[count])) for count in rollouts]
+    axes.plot(rollouts, medians, ":", color=colour, linewidth=THICK)
+
+
 def _other(axes: Axes, name: str, claim: Claim) -> None:
     colour, mark = (RED, "x") if claim.is_refuted else (GREEN, "s")
     # A printed claim has no range: it is hollow.
@@ -91,6 +101,7 @@ def _other(axes: Axes, name: str, claim: Claim) -> None:
 def _legend(axes: Axes) -> None:
     shade = mpl.colormaps["Blues"](0.8)
     axes.plot([], [], "o-", color=shade, linewidth=THICK, markersize=3, label="method kriging: median and range")
+    axes.plot([], [], ":", color=shade, linewidth=THICK, label="its median without the control")
     axes.plot([], [], color=shade, linewidth=THICK, alpha=0.45, label="its assumptions alone, without a rollout")
     axes.plot([], [], "s", color=GREEN, markersize=4, label="other claims, not refuted")
     axes.plot([], [], "x", color=RED, markersize=4, label="claims whose own data refute an assumption")

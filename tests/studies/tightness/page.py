@@ -34,6 +34,7 @@ def summary(curves: Sequence[Curve], truth: Worst, recorded: int) -> dict[str, A
         "curves": [
             {
                 "norm": each.norm,
+                "controlled": each.controlled,
                 "alone": round(each.alone, 3),
                 "bounds": {str(count): _spread(values) for count, values in sorted(each.bounds.items())},
                 "refuted": each.refuted,
@@ -45,10 +46,11 @@ def summary(curves: Sequence[Curve], truth: Worst, recorded: int) -> dict[str, A
 
 def table(numbers: Mapping[str, Any]) -> str:
     """Return the bounds over the seeds, and what the record says of its worst point, from the numbers of a record."""
-    head = ["B", "without rollouts", *(f"{count:,}" for count in SHOWN), "refuted"]
+    head = ["B", "control", "without rollouts", *(f"{count:,}" for count in SHOWN), "refuted"]
     lines = [
         [
             f"{each['norm']:g}",
+            "on" if each["controlled"] else "off",
             f"{each['alone']:.3f}",
             *("{:.3f} ({:.3f} to {:.3f})".format(*each["bounds"][str(count)]) for count in SHOWN),
             f"{each['refuted']}",

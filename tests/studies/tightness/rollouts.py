@@ -13,13 +13,15 @@ from pathlib import Path
 
 import numpy as np
 
+from perfbound.orchestrator.campaign.methods import kernel
 from perfbound.orchestrator.campaign.observation import Observer
 from perfbound.orchestrator.campaign.plan import ProblemPlan, plans
-from perfbound.orchestrator.mathematics.bounds.kriging.design import plan_design
+from perfbound.orchestrator.mathematics.bounds.kriging.design import Design, plan_design
 from perfbound.orchestrator.mathematics.gp.kernels import Floats
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice
 from perfbound.schemas.draws.laws import Laws
 from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.file.problem_models import KrigingProblem
 from perfbound.schemas.file.reader import load_campaign
 from perfbound.schemas.system import OptionValue
 from perfbound.workers.systems import load_system
@@ -29,7 +31,7 @@ ROOT = Path(__file__).parents[3]
 CAMPAIGN = ROOT / "deploy" / "campaigns" / "segway.toml"
 DIRECTORY = Path("build/tightness")
 PER_PARAMETER = 5
-"""Points per parameter; those of 3 x 3 are among them."""
+"""Points per parameter, about."""
 SEED = 20261123
 Place = tuple[int, int]
 """The node of a rollout, and its number there."""
@@ -37,9 +39,10 @@ Place = tuple[int, int]
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """The clipped robustness of the rollouts at each node of the design."""
+    """The clipped robustness of the rollouts at each node of the design, and the scores of their disturbances."""
 
     robustness: dict[int, Floats]
+    scores: dict[int, Floats]
 
     @property
     def total(self) -> int:
@@ -84,7 +87,7 @@ class Subject:
         spec, nodes, options = self.system.spec, self.lattice.nodes, self._options
         observer, laws = Observer(self.config, spec), Laws(spec.disturbances)
         for place in places:
-            seed = int(np.random.SeedSequence(SEED, spawn_key=place).generate_state(1, np.uint64)[0] >> np.uint64(11))
+            seed = seed_of(place)
             trajectory = self.system.rollout(
                 nodes[place[0]].tolist(),
                 variant="true",
@@ -98,6 +101,23 @@ class Subject:
             assert value is not None, "the campaign has a specification"
             yield place, value
 
+    def design(self, total: int) -> Design:
+        """Return the design of so many rollouts of the campaign."""
+        assert isinstance(self.plan.problem, KrigingProblem)
+        lengths = kernel(self.plan, self.plan.problem).length_scale
+        return plan_design(
+            self.lattice, total, PER_PARAMETER, np.broadcast_to(lengths, self.lattice.dimension).tolist()
+        )
+
+    def scores(self, node: int, count: int) -> Floats:
+        """Return the scores of the disturbances of the first rollouts of a node (n, k): they follow from the seeds."""
+        return Laws(self.system.spec.disturbances).scores([seed_of((node, number)) for number in range(count)])
+
+
+def seed_of(place: Place) -> int:
+    """Return the seed of a rollout."""
+    return int(np.random.SeedSequence(SEED, spawn_key=place).generate_state(1, np.uint64)[0] >> np.uint64(11))
+
 
 def subject() -> Subject:
     """Return the Segway of the campaign file."""
@@ -107,7 +127,7 @@ def subject() -> Subject:
 
 def record(subject: Subject, total: int, directory: Path = DIRECTORY) -> Recorded:
     """Return `total` rollouts in the shares of the design; simulate those that no earlier call has recorded."""
-    design = plan_design(subject.lattice, total, PER_PARAMETER)
+    design = subject.design(total)
     wanted = dict(zip(design.nodes, design.counts, strict=True))
     path = directory / f"rollouts-{subject.identity}.csv"
     found = _read(path)
@@ -115,7 +135,10 @@ def record(subject: Subject, total: int, directory: Path = DIRECTORY) -> Recorde
     missing = [place for place in missing if place not in found]
     if missing:
         found |= _appended(path, subject, missing)
-    return Recorded({node: np.array([found[node, n] for n in range(count)]) for node, count in wanted.items()})
+    return Recorded(
+        {node: np.array([found[node, n] for n in range(count)]) for node, count in wanted.items()},
+        {node: subject.scores(node, count) for node, count in wanted.items()},
+    )
 
 
 def _whole(path: Path) -> str:

@@ -8,15 +8,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from perfbound.orchestrator.mathematics.bounds.kriging.design import plan_design
 from tests.studies.tightness import claims, figure, page
 from tests.studies.tightness.claims import OTHERS, PageError, other_claims
-from tests.studies.tightness.curves import BUDGETS, NORMS, Budget, Curve, Worst, a_method, campaign, observed, worst
+from tests.studies.tightness.curves import (
+    BUDGETS,
+    NORMS,
+    Budget,
+    Curve,
+    Worst,
+    a_method,
+    campaign,
+    known,
+    observed,
+    tests_of,
+    worst,
+)
 from tests.studies.tightness.figure import LABELS
-from tests.studies.tightness.rollouts import PER_PARAMETER, ROOT, Place, Subject, record, subject
+from tests.studies.tightness.rollouts import ROOT, Place, Subject, record, subject
 
 PAGE = (ROOT / "docs" / "paper.md").read_text(encoding="utf-8")
-CURVES = [Curve(0.2, 0.49, {budget.rollouts: [0.5, 0.52, 0.6] for budget in BUDGETS}, 0)]
+FOUND = {budget.rollouts: [0.5, 0.52, 0.6] for budget in BUDGETS}
+CURVES = [Curve(0.2, 0.49, FOUND, 0), Curve(0.2, 0.49, FOUND, 0, controlled=False)]
 TRUTH = Worst((5.0, 0.0), 0.661, 0.655, 0.003)
 
 
@@ -69,8 +81,7 @@ def test_real_rollouts_are_those_of_the_true_system() -> None:
 
 
 def test_every_budget_has_its_starts_in_the_record() -> None:
-    lattice = subject().lattice
-    recorded = set(plan_design(lattice, 1000, PER_PARAMETER).nodes)
+    recorded = set(subject().design(1000).nodes)
     for budget in BUDGETS:
         assert set(a_method(subject(), 0.2, budget).design.nodes) <= recorded
 
@@ -80,8 +91,12 @@ def test_a_bound_is_between_the_assumption_and_the_mean_of_the_record(tmp_path: 
     recorded = record(segway, 500, tmp_path)
     values = {node: observed(segway, each) for node, each in recorded.robustness.items()}
     bounds = []
-    for seed in range(2):
-        bound = campaign(a_method(segway, 0.2, budget), values, budget, (0, seed))
+    for seed, controlled in ((0, False), (1, False), (1, True)):
+        method = a_method(segway, 0.2, budget)
+        tests = tests_of(method.design, recorded, budget, (0, seed))
+        if controlled:
+            method = a_method(segway, 0.2, budget, known(segway, tests))
+        bound = campaign(method, values, tests)
         assert bound.upper is not None
         bounds.append(-bound.upper)
     assert bounds[0] != bounds[1]
@@ -109,7 +124,7 @@ def test_figure_and_table_are_written_beside_the_page(tmp_path: Path) -> None:
     (tmp_path / page.FIGURE).parent.mkdir()
     page.write(target, CURVES, TRUTH, 7200, tmp_path / "bounds.json")
     text = target.read_text(encoding="utf-8")
-    assert "| 0.2 | 0.490            | 0.520 (0.500 to 0.600)" in text
+    assert "| 0.2 | on      | 0.490            | 0.520 (0.500 to 0.600)" in text
     assert page.section(json.loads((tmp_path / "bounds.json").read_text())) in text
     assert text.split(page.BEGIN)[0] == PAGE.split(page.BEGIN)[0]
     assert text.split(page.END)[1] == PAGE.split(page.END)[1]
@@ -122,7 +137,7 @@ def test_the_page_has_what_the_generator_writes_from_the_record() -> None:
     numbers = json.loads(text)
     assert page.section(numbers) in PAGE
     assert page.record_text(numbers) == text
-    assert [each["norm"] for each in numbers["curves"]] == list(NORMS)
+    assert [each["norm"] for each in numbers["curves"]] == list(NORMS) * 2
     assert {int(count) for each in numbers["curves"] for count in each["bounds"]} == {
         budget.rollouts for budget in BUDGETS
     }

@@ -3,7 +3,8 @@
 | symbol | name     | meaning                                        | shape | unit |
 |--------|----------|------------------------------------------------|-------|------|
 | p      |          | number of parameters, 1 to 3                   | ()    | -    |
-| q      | `size`   | number of points of the design, k^p            | ()    | -    |
+| q      | `size`   | number of points of the design, k^p at most    | ()    | -    |
+| l_j    | `lengths` | length scales of the kernel                   | (p,)  | of x |
 | x_i    | `nodes`  | point i, as the index of a node of the lattice | (q,)  | -    |
 | n_i    | `counts` | tests at x_i within the budget                 | (q,)  | -    |
 |        | `order`  | point of every test, as its number i           | (T,)  | -    |
@@ -14,9 +15,12 @@ systems is there. The order keeps the counts in proportion after every test, cor
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from heapq import heapify, heapreplace
 from itertools import product
+
+import numpy as np
 
 from ...gp.lattice import Lattice
 
@@ -27,6 +31,8 @@ SHARES = (10, 27, 50, 90)
 PER_PARAMETER = ((400, 5), (150, 4), (0, 3))
 """Points per parameter from so many rollouts on, for one or two parameters: few rollouts are best at few points."""
 PER_PARAMETER_OF_THREE = ((10_000, 4), (0, 3))
+FEWEST_ALONG = 3
+"""Two points along a parameter were worse even where the middle of three had no test."""
 MOST_PARAMETERS = 3
 """No number of points fills a box of more."""
 
@@ -64,19 +70,19 @@ def points_per_parameter(parameters: int, tests: int, replicates: int) -> int:
     """
     table = PER_PARAMETER_OF_THREE if parameters == MOST_PARAMETERS else PER_PARAMETER
     points = next(points for least, points in table if tests * replicates >= least)
-    # Points without a test leave gaps; two points per parameter were worse even where the middle of three had none.
-    while points > 3 and points**parameters > tests:
+    # Points without a test leave gaps.
+    while points > FEWEST_ALONG and points**parameters > tests:
         points -= 1
     return points
 
 
-def plan_design(lattice: Lattice, tests: int, points: int) -> Design:
-    """Return the design of `tests` tests at `points` points per parameter, the nodes nearest to equal distances.
+def plan_design(lattice: Lattice, tests: int, points: int, lengths: Sequence[float]) -> Design:
+    """Return the design of `tests` tests at `points`^p points at most, the nodes nearest to equal distances.
 
     Raises:
         ValueError: there are more than three parameters, fewer than 2 points per parameter, or more than nodes.
 
-    >>> design = plan_design(Lattice((0.0, 0.0), (1.0, 1.0), 5), 12, 3)
+    >>> design = plan_design(Lattice((0.0, 0.0), (1.0, 1.0), 5), 12, 3, (0.5, 0.5))
     >>> design.nodes
     (0, 2, 4, 10, 12, 14, 20, 22, 24)
     >>> design.order, design.counts
@@ -90,19 +96,40 @@ def plan_design(lattice: Lattice, tests: int, points: int) -> Design:
             f"points must be between 2 and the {lattice.resolution} nodes per parameter, not {points}; fix points or "
             "resolution"
         )
-    last = points - 1
-    places = list(product(range(points), repeat=lattice.dimension))
-    shares = [SHARES[sum(k in (0, last) for k in place)] for place in places]
+    ranges = (np.subtract(lattice.high, lattice.low) / lengths).tolist()
+    along = points_along(points, ranges, lattice.resolution)
+    lasts = [each - 1 for each in along]
+    places = list(product(*map(range, along)))
+    shares = [SHARES[sum(k in (0, last) for k, last in zip(place, lasts, strict=True))] for place in places]
     order = _interleaved(shares, tests)
-    nodes = tuple(_node(lattice, place, last) for place in places)
+    nodes = tuple(_node(lattice, place, lasts) for place in places)
     counts = Counter(order)
     return Design(nodes, tuple(counts[i] for i in range(len(places))), order)
 
 
-def _node(lattice: Lattice, place: tuple[int, ...], last: int) -> int:
+def points_along(points: int, ranges: Sequence[float], most: int) -> tuple[int, ...]:
+    """Return the points along each parameter, `points`^p in all at most, with distances as equal as that allows.
+
+    `ranges` are in length scales: along a parameter with a short one the objective varies more.
+
+    >>> points_along(5, (2.0, 2.0), 41), points_along(5, (1.8, 0.65), 41), points_along(4, (1.0, 9.0, 1.0), 6)
+    ((5, 5), (8, 3), (3, 6, 3))
+
+    """
+    found = [min(points, FEWEST_ALONG)] * len(ranges)
+    while True:
+        for j in sorted(range(len(found)), key=lambda j: (-ranges[j] / (found[j] - 1), j)):
+            if found[j] < most and math.prod(found) // found[j] * (found[j] + 1) <= points ** len(found):
+                found[j] += 1
+                break
+        else:
+            return tuple(found)
+
+
+def _node(lattice: Lattice, place: tuple[int, ...], lasts: Sequence[int]) -> int:
     """Return the node nearest to an equally spaced point."""
     index = 0
-    for k in place:
+    for k, last in zip(place, lasts, strict=True):
         # Whole numbers alone: no CPU rounds this differently.
         index = index * lattice.resolution + (2 * k * (lattice.resolution - 1) + last) // (2 * last)
     return index

@@ -39,7 +39,7 @@ from .forecast import PlannedBounds
 
 @dataclass(frozen=True, slots=True)
 class KrigingBudget:
-    """What is planned beforehand: `tests` of `replicates` rollouts each, `points` points per parameter."""
+    """What is planned beforehand: `tests` of `replicates` rollouts each, at `points`^p points at most."""
 
     tests: int
     replicates: int
@@ -77,7 +77,8 @@ class KrigingMethod(Method):
     ) -> None:
         if not (math.isfinite(spread) and spread > 0):
             raise ValueError(f"spread must be a positive finite number, not {spread!r}")
-        self.lattice, self.design = lattice, plan_design(lattice, budget.tests, budget.points)
+        lengths = np.broadcast_to(kernel.length_scale, lattice.dimension).tolist()
+        self.lattice, self.design = lattice, plan_design(lattice, budget.tests, budget.points, lengths)
         low, high = premises.ends
         # From here on everything is about X: J is maximised, so its mirror is bounded from below.
         self._premises = KrigingPremises(premises.rkhs_norm, -premises.prior_mean, (-high, -low), premises.delta)

@@ -13,7 +13,12 @@ from scipy.optimize import minimize
 
 from perfbound.orchestrator.mathematics.bounds.kriging.bound import GuessedMean, KrigingBounds, KrigingPremises
 from perfbound.orchestrator.mathematics.bounds.kriging.cells import NodeCells, between, has_bend
-from perfbound.orchestrator.mathematics.bounds.kriging.design import SHARES, plan_design, points_per_parameter
+from perfbound.orchestrator.mathematics.bounds.kriging.design import (
+    SHARES,
+    plan_design,
+    points_along,
+    points_per_parameter,
+)
 from perfbound.orchestrator.mathematics.bounds.kriging.method import KrigingBudget, KrigingMethod
 from perfbound.orchestrator.mathematics.bounds.kriging.weights import CAP, WeightTerms, kappas, plan_weights
 from perfbound.orchestrator.mathematics.gp.kernels import Matern
@@ -32,7 +37,7 @@ PREMISES = KrigingPremises(0.3, 0.7, (0.0, 1.0), 0.05)
 class TestDesign:
     @pytest.mark.parametrize(("lattice", "points"), [(SQUARE, 3), (SQUARE, 5), (Lattice((0.0,) * 3, (1.0,) * 3, 4), 3)])
     def test_the_counts_are_in_proportion_after_every_test(self, lattice: Lattice, points: int) -> None:
-        design = plan_design(lattice, 400, points)
+        design = plan_design(lattice, 400, points, lattice.high)
         ends = [
             sum(k in (0, points - 1) for k in place)
             for place in itertools.product(range(points), repeat=len(lattice.low))
@@ -48,12 +53,33 @@ class TestDesign:
 
     def test_points_are_the_nodes_nearest_to_equal_distances(self) -> None:
         lattice = Lattice((0.0,), (3.0,), 12)
-        nodes = lattice.nodes[list(plan_design(lattice, 10, 5).nodes), 0]
+        nodes = lattice.nodes[list(plan_design(lattice, 10, 5, lattice.high).nodes), 0]
         assert np.abs(nodes - np.linspace(0, 3, 5)).max() <= 3 / 11 / 2 + 1e-12
         assert len(set(nodes.tolist())) == 5
 
     def test_a_longer_budget_begins_with_the_same_tests(self) -> None:
-        assert plan_design(SQUARE, 500, 4).order[:100] == plan_design(SQUARE, 100, 4).order
+        assert plan_design(SQUARE, 500, 4, SQUARE.high).order[:100] == plan_design(SQUARE, 100, 4, SQUARE.high).order
+
+    def test_a_parameter_with_a_short_length_scale_has_more_points(self) -> None:
+        lattice = Lattice((0.0, 0.0), (5.0, 5.0), 41)
+        nodes = lattice.nodes[list(plan_design(lattice, 100, 5, (2.8, 7.7)).nodes)]
+        assert (len(set(nodes[:, 0])), len(set(nodes[:, 1]))) == (8, 3)
+        assert {0.0, 5.0} <= set(nodes[:, 0]) & set(nodes[:, 1])
+
+    @given(
+        st.integers(2, 9),
+        st.lists(st.floats(0.01, 100.0), min_size=1, max_size=3),
+        st.integers(9, 60),
+    )
+    def test_points_are_no_more_than_asked_for_and_fill_what_they_may(
+        self, points: int, ranges: list[float], most: int
+    ) -> None:
+        found = points_along(points, ranges, most)
+        allowed = points ** len(ranges)
+        assert math.prod(found) <= allowed
+        assert all(min(points, 3) <= each <= most for each in found)
+        # Nowhere is room for one more.
+        assert all(each == most or math.prod(found) // each * (each + 1) > allowed for each in found)
 
     def test_more_rollouts_have_more_points(self) -> None:
         assert [points_per_parameter(2, n, 1) for n in (20, 149, 150, 399, 400)] == [3, 3, 4, 4, 5]
@@ -68,11 +94,11 @@ class TestDesign:
     )
     def test_what_cannot_be_planned_is_refused(self, lattice: Lattice, points: int) -> None:
         with pytest.raises(ValueError, match=r"points must be|at most 3 parameters"):
-            plan_design(lattice, 10, points)
+            plan_design(lattice, 10, points, lattice.high)
 
 
 def a_plan(tests: int = 120, points: int = 3, norm: float = 0.3) -> tuple[Floats, Floats, Floats, WeightTerms]:
-    design = plan_design(SQUARE, tests, points)
+    design = plan_design(SQUARE, tests, points, SQUARE.high)
     at = SQUARE.nodes[list(design.nodes)]
     radial = Radial(KERNEL)
     terms = WeightTerms(norm, 0.05, 0.1, 0.7, 0.3)
@@ -163,7 +189,7 @@ def a_function(rng: np.random.Generator, radial: Radial, norm: float) -> tuple[F
 
 def bounds_of(points: int = 3, tests: int = 120, premises: KrigingPremises = PREMISES) -> tuple[KrigingBounds, Floats]:
     k, kernel, n, terms = a_plan(tests, points, premises.rkhs_norm)
-    at = SQUARE.nodes[list(plan_design(SQUARE, tests, points).nodes)]
+    at = SQUARE.nodes[list(plan_design(SQUARE, tests, points, SQUARE.high).nodes)]
     cells = NodeCells(SQUARE, Radial(KERNEL), at)
     return KrigingBounds(plan_weights(k, kernel, n, terms)[0], kernel, cells, premises), at
 
