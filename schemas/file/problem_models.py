@@ -240,7 +240,8 @@ class KrigingProblem(_BallProblem, _PlannedProblem):
         default=None,
         ge=2,
         le=9,
-        description="starts per parameter; by default 5 at most, fewer for a small budget",
+        description="starts per parameter, more along one with a short length scale and fewer along others; by default "
+        "5 at most, fewer for a small budget",
     )
 
     @model_validator(mode="after")
