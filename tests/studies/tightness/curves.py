@@ -63,7 +63,7 @@ def curve(subject: Subject, recorded: Recorded, norm: float, seeds: int = SEEDS,
         alone = _claim(planned.bound_after([]))
         found = []
         for seed in range(seeds):
-            drawn = tests_of(planned.design, recorded, budget, (place, seed))
+            drawn = drawn_tests(planned.design, recorded, budget, (place, seed))
             method = a_method(subject, norm, budget, known(subject, drawn)) if controlled else deepcopy(planned)
             found.append(campaign(method, values, drawn))
         bounds[budget.rollouts] = [_claim(bound) for bound in found]
@@ -89,7 +89,7 @@ class Drawn(NamedTuple):
     scores: Floats
 
 
-def tests_of(design: Design, recorded: Recorded, budget: Budget, number: tuple[int, int]) -> list[Drawn]:
+def drawn_tests(design: Design, recorded: Recorded, budget: Budget, number: tuple[int, int]) -> list[Drawn]:
     """Return the tests of a campaign, whose rollouts are drawn with replacement from the record."""
     rng = np.random.default_rng(np.random.SeedSequence(SEED, spawn_key=number))
     found = []

@@ -18,9 +18,9 @@ from tests.studies.tightness.curves import (
     Worst,
     a_method,
     campaign,
+    drawn_tests,
     known,
     observed,
-    tests_of,
     worst,
 )
 from tests.studies.tightness.figure import LABELS
@@ -93,7 +93,7 @@ def test_a_bound_is_between_the_assumption_and_the_mean_of_the_record(tmp_path: 
     bounds = []
     for seed, controlled in ((0, False), (1, False), (1, True)):
         method = a_method(segway, 0.2, budget)
-        tests = tests_of(method.design, recorded, budget, (0, seed))
+        tests = drawn_tests(method.design, recorded, budget, (0, seed))
         if controlled:
             method = a_method(segway, 0.2, budget, known(segway, tests))
         bound = campaign(method, values, tests)
