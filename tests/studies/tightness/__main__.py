@@ -19,7 +19,9 @@ ROLLOUTS = 7200
 def main() -> int:
     """Record what is missing, compute, print, write; return the exit code."""
     parser = argparse.ArgumentParser(prog="python -m tests.studies.tightness", description=__doc__)
-    parser.add_argument("--rollouts", type=int, default=ROLLOUTS, help="true rollouts to record (default: %(default)s)")
+    parser.add_argument(
+        "--rollouts", type=int, default=ROLLOUTS, help="true rollouts of the large design (default: %(default)s)"
+    )
     parser.add_argument("--seeds", type=int, default=SEEDS, help="campaigns of each budget (default: %(default)s)")
     parser.add_argument("--write", type=Path, help="page whose table and figure are written anew")
     options = parser.parse_args()

@@ -134,6 +134,8 @@ class Worst:
     observed: float
     """The least mean of X: no bound of the method is above it, whatever the norm."""
     error: float
+    points: int
+    """Of the record."""
 
 
 def worst(subject: Subject, recorded: Recorded) -> Worst:
@@ -143,4 +145,4 @@ def worst(subject: Subject, recorded: Recorded) -> Worst:
     node = min(risks, key=lambda each: risks[each])
     values = observed(subject, recorded.robustness[node])
     x = tuple(subject.lattice.nodes[node].tolist())
-    return Worst(x, risks[node], float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values))))
+    return Worst(x, risks[node], float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values))), len(risks))

@@ -31,6 +31,7 @@ def summary(curves: Sequence[Curve], truth: Worst, recorded: int) -> dict[str, A
         "recorded": recorded,
         "start": list(truth.x),
         **{name: round(getattr(truth, name), 3) for name in ("risk", "observed", "error")},
+        "points": truth.points,
         "curves": [
             {
                 "norm": each.norm,
@@ -60,8 +61,8 @@ def table(numbers: Mapping[str, Any]) -> str:
     start = ", ".join(f"{value:g}" for value in numbers["start"])
     words = (
         f"Bounds of {numbers['campaigns']} campaigns each (median, least and greatest), drawn with replacement from "
-        f"{numbers['recorded']:,} recorded rollouts of the true Segway. In this record the risk at the worst of the 25 "
-        f"points, ({start}), is {numbers['risk']:.3f}, and the least mean of X, to which the bounds tend, "
+        f"{numbers['recorded']:,} recorded rollouts of the true Segway. In this record the risk at the worst of the "
+        f"{numbers['points']} points, ({start}), is {numbers['risk']:.3f}, and the least mean of X, to which the bounds tend, "
         f"{numbers['observed']:.3f} +- {numbers['error']:.3f}."
     )
     return f"{markdown(head, lines)}\n{textwrap.fill(words, 100)}\n"

@@ -16,7 +16,7 @@ import numpy as np
 from perfbound.orchestrator.campaign.methods import kernel
 from perfbound.orchestrator.campaign.observation import Observer
 from perfbound.orchestrator.campaign.plan import ProblemPlan, plans
-from perfbound.orchestrator.mathematics.bounds.kriging.design import Design, plan_design
+from perfbound.orchestrator.mathematics.bounds.kriging.design import plan_design
 from perfbound.orchestrator.mathematics.gp.kernels import Floats
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice
 from perfbound.schemas.draws.laws import Laws
@@ -30,8 +30,8 @@ from perfbound.workers.systems.base import SystemUnderTest, disturbances_of
 ROOT = Path(__file__).parents[3]
 CAMPAIGN = ROOT / "deploy" / "campaigns" / "segway.toml"
 DIRECTORY = Path("build/tightness")
-PER_PARAMETER = 5
-"""Points per parameter, about."""
+PER_PARAMETER = (5, 3)
+"""Points per parameter, about, of large budgets and of small ones."""
 SEED = 20261123
 Place = tuple[int, int]
 """The node of a rollout, and its number there."""
@@ -101,13 +101,14 @@ class Subject:
             assert value is not None, "the campaign has a specification"
             yield place, value
 
-    def design(self, total: int) -> Design:
-        """Return the design of so many rollouts of the campaign."""
+    def counts(self, total: int) -> dict[int, int]:
+        """Return how many rollouts each node has: `total` in the shares of the large design, and as many on average
+        at those that only the small one has.
+        """
         assert isinstance(self.plan.problem, KrigingProblem)
-        lengths = kernel(self.plan, self.plan.problem).length_scale
-        return plan_design(
-            self.lattice, total, PER_PARAMETER, np.broadcast_to(lengths, self.lattice.dimension).tolist()
-        )
+        lengths = np.broadcast_to(kernel(self.plan, self.plan.problem).length_scale, self.lattice.dimension).tolist()
+        large, small = (plan_design(self.lattice, total, points, lengths) for points in PER_PARAMETER)
+        return dict.fromkeys(small.nodes, total // large.size) | dict(zip(large.nodes, large.counts, strict=True))
 
     def scores(self, node: int, count: int) -> Floats:
         """Return the scores of the disturbances of the first rollouts of a node (n, k): they follow from the seeds."""
@@ -126,9 +127,8 @@ def subject() -> Subject:
 
 
 def record(subject: Subject, total: int, directory: Path = DIRECTORY) -> Recorded:
-    """Return `total` rollouts in the shares of the design; simulate those that no earlier call has recorded."""
-    design = subject.design(total)
-    wanted = dict(zip(design.nodes, design.counts, strict=True))
+    """Return the rollouts of `Subject.counts`; simulate those that no earlier call has recorded."""
+    wanted = subject.counts(total)
     path = directory / f"rollouts-{subject.identity}.csv"
     found = _read(path)
     missing = [(node, number) for node, count in wanted.items() for number in range(count)]
