@@ -62,8 +62,8 @@ def table(numbers: Mapping[str, Any]) -> str:
     words = (
         f"Bounds of {numbers['campaigns']} campaigns each (median, least and greatest), drawn with replacement from "
         f"{numbers['recorded']:,} recorded rollouts of the true Segway. In this record the risk at the worst of the "
-        f"{numbers['points']} points, ({start}), is {numbers['risk']:.3f}, and the least mean of X, to which the bounds tend, "
-        f"{numbers['observed']:.3f} +- {numbers['error']:.3f}."
+        f"{numbers['points']} points, ({start}), is {numbers['risk']:.3f}, and the least mean of X, to which the "
+        f"bounds tend, {numbers['observed']:.3f} +- {numbers['error']:.3f}."
     )
     return f"{markdown(head, lines)}\n{textwrap.fill(words, 100)}\n"
 
