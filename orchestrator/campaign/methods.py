@@ -213,7 +213,7 @@ def _disturbed(plan: ProblemPlan, header: Header) -> Disturbed | None:
     """Return the disturbances of the rollouts of a problem; None where no control is asked for, or possible."""
     if not plan.controlled:
         return None
-    laws = header.spec.disturbances
+    laws = header.spec.drawn
     knots = min(max(MOST_FUNCTIONS // len(laws), 2), MOST_KNOTS)
     bases: list[Basis] = [choice_basis(law.shares, knots) if law.choices else normal_basis(knots) for law in laws]
     return Disturbed(tuple(bases), _Scores(plan, header).of)
@@ -241,4 +241,6 @@ class _Scores:
         # Both variants of a pair have the same seeds, and so the same disturbances.
         rollout = RolloutId(self._plan.name, first, self._variant, 0)
         seeds = rollout_seeds(self._header, rollout, self._tests, self._plan.replicates)
-        return self._laws.scores(seeds).reshape(self._tests, self._plan.replicates, -1)
+        spec = self._header.spec
+        drawn = [place for place, law in enumerate(spec.disturbances) if law.name not in spec.as_parameters]
+        return self._laws.scores(seeds)[:, drawn].reshape(self._tests, self._plan.replicates, -1)
