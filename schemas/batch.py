@@ -21,6 +21,7 @@ from .rollout import (
     Start,
     check_disturbances,
     disturbances_of_batch,
+    start_of_campaign,
 )
 from .system import OptionValue, SystemSpec, Variant
 
@@ -52,6 +53,7 @@ class BatchRequest(Model):
     horizon: Seconds
     signals: tuple[SignalShape, ...] = Field(default=(), max_length=MAX_PARAMETERS)
     disturbances: tuple[Disturbances, ...] = disturbances_of_batch()
+    start: tuple[Start, ...] = start_of_campaign()
 
     @model_validator(mode="after")
     def _fitting(self) -> Self:
@@ -60,7 +62,7 @@ class BatchRequest(Model):
         check_disturbances(self.disturbances, len(self.seeds))
         if len(set(map(len, self.x))) != 1:
             raise ValueError("the starts differ in length")
-        numbers = len(self.x) * len(self.x[0]) + sum(map(len, self.disturbances))
+        numbers = len(self.x) * len(self.x[0]) + sum(map(len, (*self.disturbances, *self.start)))
         if numbers > MOST_NUMBERS:
             raise ValueError(f"starts and disturbances have {numbers} numbers together, more than {MOST_NUMBERS}")
         return self
@@ -79,6 +81,11 @@ class BatchRequest(Model):
         first = RolloutId(self.problem, self.test, self.variant, self.replicate)
         return batch_rollouts(first, len(self.x), self.replicates)
 
+    @property
+    def chosen(self) -> tuple[tuple[float, ...], ...]:
+        """The start of each test as the campaign has it."""
+        return self.start or self.x
+
     @cached_property
     def starts(self) -> NDArray[np.float64]:
         """The start of each rollout, shape (R, p), in the units of the parameters."""
@@ -92,7 +99,9 @@ class BatchRequest(Model):
     def single(self, place: int) -> RolloutRequest:
         """Return the request for one of the rollouts alone."""
         test, number = divmod(place, self.replicates)
-        common = self.model_dump(exclude={"test", "replicate", "replicates", "seeds", "x", "signals", "disturbances"})
+        common = self.model_dump(
+            exclude={"test", "replicate", "replicates", "seeds", "x", "signals", "disturbances", "start"}
+        )
         return RolloutRequest(
             **common,
             test=self.test + test,
@@ -101,6 +110,7 @@ class BatchRequest(Model):
             x=self.x[test],
             signals=self.signals,
             disturbances=self.disturbances[place] if self.disturbances else (),
+            start=self.start[test] if self.start else (),
         )
 
     @property

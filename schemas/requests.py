@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from .ids import RolloutId
 from .rollout import RolloutRequest, WithinBatch
-from .system import OptionValue, SystemSpec
+from .system import SCORED, OptionValue, SystemSpec
 
 if TYPE_CHECKING:
     from .batch import BatchRequest
@@ -65,26 +65,51 @@ class RequestTemplate:
             "signals": self.spec.signals,
         }
 
-    def disturbances(self, variant: str, seeds: Sequence[int]) -> tuple[tuple[float, ...], ...]:
-        """Return the disturbances of rollouts with these seeds; of a variant without noise their medians."""
+    def disturbances(
+        self, variant: str, starts: Sequence[Sequence[float]], seeds: Sequence[int]
+    ) -> tuple[tuple[float, ...], ...]:
+        """Return the disturbances of rollouts at these starts (k, p), equally many at each, with a seed each.
+
+        Those that are parameters are given by the start, the others drawn from the seed; in a variant without noise
+        each has its median.
+        """
         if self.laws is None:
             return ()
-        if variant not in self.spec.noisy:
+        if variant not in (self.spec.disturbed or self.spec.noisy):
             return (self.laws.middles,) * len(seeds)
-        return tuple(map(tuple, self.laws.values(seeds).tolist()))
+        values = self.laws.values(seeds)
+        places = {law.name: place for place, law in enumerate(self.spec.disturbances)}
+        first = len(self.spec.own_parameters)
+        for number, parameter in enumerate(self.spec.parameters[first:], start=first):
+            place = places[parameter.name]
+            given = [start[number] for start in starts]
+            at = self.laws.at_scores(place, given) if parameter.unit == SCORED else given
+            values[:, place] = [value for value in at for _ in range(len(seeds) // len(starts))]
+        return tuple(map(tuple, values.tolist()))
+
+    def _own(self, start: Sequence[float]) -> tuple[float, ...]:
+        """Return the part of a start that is no disturbance."""
+        return tuple(start)[: len(self.spec.own_parameters)]
+
+    def _split(self, starts: Sequence[Sequence[float]]) -> dict[str, Any]:
+        """Return the fields of the starts of a batch."""
+        whole = tuple(map(tuple, starts))
+        return {"x": tuple(map(self._own, whole)), "start": whole if self.spec.as_parameters else ()}
 
     def request(
         self, rollout: RolloutId, x: Sequence[float], seed: int, *, within: WithinBatch | None = None
     ) -> RolloutRequest:
         """Return the request for a rollout that starts at `x` (p,), in the units of the parameters."""
         common = self.common(rollout)
-        drawn = self.disturbances(common["variant"], [seed])
+        drawn = self.disturbances(common["variant"], [x], [seed])
         if within is not None and self.laws is not None:
-            whole = self.disturbances(common["variant"], within.seeds)
-            within = within.model_copy(update={"disturbances": whole})
+            starts = within.start or within.x
+            whole = self.disturbances(common["variant"], starts, within.seeds)
+            within = within.model_copy(update={"disturbances": whole, **self._split(starts)})
         return RolloutRequest(
             **common,
-            x=tuple(x),
+            x=self._own(x),
+            start=tuple(x) if self.spec.as_parameters else (),
             seed=seed,
             visual=self.visual,
             disturbances=drawn[0] if drawn else (),
@@ -100,6 +125,6 @@ class RequestTemplate:
             **common,
             replicates=len(seeds) // len(starts),
             seeds=tuple(seeds),
-            x=tuple(map(tuple, starts)),
-            disturbances=self.disturbances(common["variant"], seeds),
+            **self._split(starts),
+            disturbances=self.disturbances(common["variant"], starts, seeds),
         )

@@ -31,6 +31,16 @@ def disturbances_of_batch() -> Any:
     return Field(default=(), max_length=LARGEST_BATCH, exclude_if=lambda each: not each)
 
 
+def start_of_campaign() -> Any:
+    """Return the field of starts as the campaign has them."""
+    return Field(
+        default=(),
+        max_length=MAX_PARAMETERS,
+        exclude_if=lambda start: not start,
+        description="as the campaign has it, where disturbances are parameters: `x` and these follow from it",
+    )
+
+
 def check_disturbances(each: Sequence[Sequence[float]], rollouts: int) -> None:
     """Refuse disturbances that are not equally many for each rollout of a batch; raises ValueError."""
     if each and (len(each) != rollouts or len(set(map(len, each))) != 1):
@@ -47,6 +57,7 @@ class WithinBatch(Model):
     seeds: tuple[Seed, ...] = Field(min_length=1, max_length=LARGEST_BATCH)
     place: int = Field(ge=0, lt=LARGEST_BATCH)
     disturbances: tuple[Disturbances, ...] = disturbances_of_batch()
+    start: tuple[Start, ...] = start_of_campaign()
 
     @model_validator(mode="after")
     def _fitting(self) -> Self:
@@ -88,11 +99,17 @@ class RolloutRequest(Model):
         exclude_if=lambda disturbances: not disturbances,
         description="the values of the disturbances that the system declares",
     )
+    start: tuple[Magnitude, ...] = start_of_campaign()
     within: WithinBatch | None = Field(
         default=None,
         exclude_if=lambda within: within is None,
         description="the batch to simulate as a whole, of which this rollout is wanted",
     )
+
+    @property
+    def chosen(self) -> tuple[float, ...]:
+        """The start as the campaign has it."""
+        return self.start or self.x
 
     @property
     def rollout(self) -> str:
@@ -101,7 +118,7 @@ class RolloutRequest(Model):
 
     def words(self, spec: SystemSpec) -> str:
         """Return start, variant and seed, as messages name a rollout."""
-        start = ", ".join(f"{each.name} = {value:g}" for each, value in zip(spec.parameters, self.x, strict=True))
+        start = ", ".join(f"{each.name} = {value:g}" for each, value in zip(spec.own_parameters, self.x, strict=True))
         variant = f", variant {self.variant}" if len(spec.variants) > 1 else ""
         drawn = f", with {self.disturbance_words(spec)}" if self.disturbances else ""
         return f"{start}{variant}{drawn}, seed {self.seed}"

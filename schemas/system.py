@@ -15,6 +15,8 @@ from .ranges import MAX_FILE_BYTES, SEED_BITS, FileBytes, Magnitude, Seconds, Se
 from .values import Stamps
 from .written import Written
 
+SCORED = "sd"
+"""Unit of a disturbance that is a parameter in scores: normal quantiles of its distribution function."""
 DECIDES_NO_ROLLOUT = {"default_horizon", "trajectory_bytes"}
 """Keys that are no part of a system's identity: every request has its own horizon, and no file depends on its limit."""
 PART = 12
@@ -162,19 +164,32 @@ class SystemSpec(Model, metaclass=Written):
         exclude_if=lambda disturbances: not disturbances,
         description="of a campaign that gives disturbances other laws: those that the system declares",
     )
+    as_parameters: tuple[str, ...] = Field(
+        default=(),
+        max_length=MAX_DISTURBANCES,
+        exclude_if=lambda names: not names,
+        description="of a campaign: the disturbances that are the last of its parameters, with the unit `sd` in scores",
+    )
+    disturbed: tuple[Variant, ...] = Field(
+        default=(),
+        exclude_if=lambda variants: not variants,
+        description="of a campaign with some of these: the variants that disturbances act in",
+    )
 
     @model_validator(mode="after")
     def _disturbed(self) -> "SystemSpec":
-        if self.disturbances and not self.noisy:
+        if self.disturbances and not (self.noisy or self.disturbed):
             raise ValueError("disturbances: no variant is noisy, so that none of them has an effect")
         if not (self.residual or self.disturbances):
             raise ValueError("residual: false is for a system with disturbances; without any, let no variant be noisy")
-        taken = {*(each.name for each in self.parameters), *(each.name for each in self.options)}
+        taken = {*(each.name for each in self.own_parameters), *(each.name for each in self.options)}
         for name in [each.name for each in self.disturbances]:
             if not name or name in taken:
                 what = f"{name} is that of a parameter, an option or another disturbance" if name else "one has none"
                 raise ValueError(f"disturbances: every one needs a name of its own; {what}")
             taken.add(name)
+        if SCORED in {each.unit for each in self.disturbances}:
+            raise ValueError(f"disturbances: {SCORED!r} is the unit of scores; give one of them another unit")
         return self
 
     @model_validator(mode="after")
@@ -202,16 +217,22 @@ class SystemSpec(Model, metaclass=Written):
                     )
         return self
 
-    def spread(self, shapes: Iterable[SignalShape] = (), laws: Mapping[str, Disturbance] | None = None) -> "SystemSpec":
+    def spread(
+        self,
+        shapes: Iterable[SignalShape] = (),
+        laws: Mapping[str, Disturbance] | None = None,
+        added: Mapping[str, Parameter] | None = None,
+    ) -> "SystemSpec":
         """Return the system as a campaign knows it: the knots of its input signals are parameters, and `laws` hold.
 
-        Signals that `shapes` does not have get the default shape. The identity stays that of the system.
+        `added` are the disturbances that are parameters, too. Signals that `shapes` does not have get the default
+        shape. The identity stays that of the system.
         """
         given = {each.name: each for each in shapes}
         found = {
             each.name: given.get(each.name) or SignalShape(name=each.name) for each in self.parameters if each.signal
         }
-        if not found and not laws:  # of most systems, for every rollout on a worker
+        if not (found or laws or added):  # of most systems, for every rollout on a worker
             return self
         parameters = tuple(
             each.model_copy(update={"name": name, "signal": False})
@@ -222,11 +243,19 @@ class SystemSpec(Model, metaclass=Written):
         update: dict[str, Any] = {"parameters": parameters, "signals": tuple(found.values())} if found else {}
         if changed != self.disturbances:
             update |= {"disturbances": changed, "own_disturbances": self.disturbances}
+        if added and not self.as_parameters:
+            names = tuple(each.name for each in self.disturbances if each.name in added)
+            update |= {"parameters": (*parameters, *map(added.__getitem__, names))}
+            update |= {"as_parameters": names, "disturbed": self.noisy}
+            if len(names) == len(self.disturbances) and not self.residual:  # nothing is left to chance
+                update["noisy"] = ()
         return self.model_copy(update=update) if update else self
 
     @property
     def declared(self) -> "SystemSpec":
         """The system as it describes itself: the inverse of `spread`."""
+        if self.as_parameters:
+            return self.as_simulated.declared
         if not (self.signals or self.own_disturbances):
             return self
         names = {name: shape.name for shape in self.signals for name in shape.names}
@@ -245,6 +274,29 @@ class SystemSpec(Model, metaclass=Written):
                 "own_disturbances": (),
             }
         )
+
+    @property
+    def as_simulated(self) -> "SystemSpec":
+        """The system as workers know it: no disturbance is a parameter."""
+        if not self.as_parameters:
+            return self
+        update = {"parameters": self.own_parameters, "noisy": self.disturbed, "as_parameters": (), "disturbed": ()}
+        return self.model_copy(update=update)
+
+    @property
+    def own_parameters(self) -> tuple[Parameter, ...]:
+        """The parameters of a rollout's start: those that are no disturbances."""
+        return self.parameters[: len(self.parameters) - len(self.as_parameters)]
+
+    @property
+    def numbers(self) -> int:
+        """Numbers of a start in a request, which has it twice where disturbances are parameters."""
+        return len(self.parameters) * (2 if self.as_parameters else 1)
+
+    @property
+    def drawn(self) -> tuple[Disturbance, ...]:
+        """The disturbances that are drawn: those that are no parameters."""
+        return tuple(each for each in self.disturbances if each.name not in self.as_parameters)
 
     @property
     def own_columns(self) -> tuple[str, ...]:

@@ -218,8 +218,8 @@ def disturbed(plan: ProblemPlan, header: Header) -> Disturbed | None:
 
 
 def bases(spec: SystemSpec) -> tuple[Basis, ...]:
-    """Return the functions of each disturbance that a system declares, of which there is one at least."""
-    laws = spec.disturbances
+    """Return the functions of each disturbance that is drawn, of which there is one at least."""
+    laws = spec.drawn
     knots = min(max(MOST_FUNCTIONS // len(laws), 2), MOST_KNOTS)
     return tuple(choice_basis(law.shares, knots) if law.choices else normal_basis(knots) for law in laws)
 
@@ -246,4 +246,6 @@ class _Scores:
         # Both variants of a pair have the same seeds, and so the same disturbances.
         rollout = RolloutId(self._plan.name, first, self._variant, 0)
         seeds = rollout_seeds(self._header, rollout, self._tests, self._plan.replicates)
-        return self._laws.scores(seeds).reshape(self._tests, self._plan.replicates, -1)
+        spec = self._header.spec
+        drawn = [place for place, law in enumerate(spec.disturbances) if law.name not in spec.as_parameters]
+        return self._laws.scores(seeds)[:, drawn].reshape(self._tests, self._plan.replicates, -1)

@@ -84,6 +84,8 @@ class ProblemPlan:
     """What is claimed of drawn starts, the first claim first; empty where none are drawn."""
     batch: int = 1
     """Rollouts of a batch at most."""
+    numbers: int = 1
+    """Numbers of a start in a request."""
     gradual: bool = False
     """As in the machine's plan."""
     box: bool = False
@@ -117,7 +119,7 @@ class ProblemPlan:
     @property
     def machine(self) -> state.Plan:
         """What the campaign machine needs of it."""
-        block = block_size(self.batch, self.rollouts, len(self.parameters)) if self.is_planned else 1
+        block = block_size(self.batch, self.rollouts, self.numbers) if self.is_planned else 1
         window = self.window if block == 1 else max(1, min(PLANNED_BLOCKS, self.window))
         return state.Plan(
             self.name, window, self.budget, self.rollouts, batch=self.batch, block=block, gradual=self.gradual
@@ -309,11 +311,12 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
         sense=config.sense_of(problem),
         claims=config.claims_of(problem),
         batch=config.batch,
+        numbers=spec.numbers,
         gradual=most_kept(config.keep) is not None,
         box=isinstance(config.space, dict),
         deterministic=not set(variants) & set(spec.noisy),
         controlled=isinstance(problem, KrigingProblem)
-        and bool(spec.disturbances and set(variants) & set(spec.noisy))
+        and bool(spec.drawn and set(variants) & set(spec.noisy))
         and config.control == "on",
         requirements=tuple(each.name for each in config.specifications),
         until_counterexample=config.until_counterexample,

@@ -16,6 +16,7 @@ from ..campaign.ledger import Ledger, failed_attempts, observed_rollouts
 from ..store.files import FOLDER
 from .assumptions.audit import ClosingResults, assumptions
 from .assumptions.opinions import workers_honest
+from .bounded import bounded_disturbances
 from .claims import claims, of_listed_starts
 from .closing_checks import recheck, spot_check
 from .problem_results import Results, result, with_controls
@@ -88,6 +89,7 @@ def issue(
         composition=claimed.composition,
         assumptions=tuple(found),
         counterexample=_counterexample(ledger),
+        bounded=bounded_disturbances(header, claimed.claims[0]),
         regions=None if regions is None else regions.document,
         spot_check=checked,
         recheck=repeated,

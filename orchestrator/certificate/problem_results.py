@@ -78,7 +78,7 @@ def _control(method: ProblemMethod, header: Header) -> document.ControlResult | 
                 # X is minus the J of which the facts speak for a maximum; it has the sense of the robustness.
                 levels=tuple(tuple(map(_digits, row)) for row in levels.tolist()),
             )
-            for law, basis, levels in zip(header.spec.disturbances, control.bases, control.levels, strict=True)
+            for law, basis, levels in zip(header.spec.drawn, control.bases, control.levels, strict=True)
         ),
     )
 

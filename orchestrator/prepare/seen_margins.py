@@ -38,7 +38,9 @@ class SeenMargins:
         """
         margin = None if self._observer is None else self._observer.robustness(trajectory)
         if margin is not None:
-            self._found[request.x, request.variant, request.seed] = margin
+            given = zip(self.spec.disturbances, request.disturbances, strict=True) if request.disturbances else ()
+            bounded = tuple(value for law, value in given if law.name in self.spec.as_parameters)
+            self._found[(*request.x, *bounded), request.variant, request.seed] = margin
 
     @property
     def violations(self) -> Violations | None:
@@ -46,7 +48,8 @@ class SeenMargins:
         if not self._found:
             return None
         x, variant, seed = worst = min(self._found, key=lambda each: (self._found[each], each))
-        units = {parameter.name: parameter.unit for parameter in self.spec.parameters}
+        units = {each.name: each.unit for each in self.spec.own_parameters}
+        units |= {law.name: law.unit for law in self.spec.disturbances if law.name in self.spec.as_parameters}
         start = named_start(dict(zip(units, x, strict=True)), units)
         of_several = f", variant {variant}" if len(self.spec.variants) > 1 else ""
         drawn = f", seed {seed}" if variant in self.spec.noisy else ""

@@ -127,7 +127,10 @@ def poison_text(
     history = "; ".join(f"{', '.join(attempts)}: {reason}" for reason, attempts in by_reason.items())
     options = [f"--option={name}={value}" for name, value in config.system.options.items()]
     start = ",".join(map(repr, request.x))
-    rollout = [f"--x={start}", "--variant", request.variant, "--seed", str(request.seed)]
+    spec = ledger.header.spec
+    given = zip(spec.disturbances, request.disturbances, strict=True) if request.disturbances else ()
+    bounded = [f"--disturbance={law.name}={value!r}" for law, value in given if law.name in spec.as_parameters]
+    rollout = [f"--x={start}", "--variant", request.variant, "--seed", str(request.seed), *bounded]
     system = config.system.name if reference is None else short_path(reference)
     limits = ["--horizon", f"{request.horizon:g}"]
     if config.deadline != LIMIT:  # a rollout that hangs is to hang no longer than here

@@ -17,7 +17,7 @@ above, in both senses.
 
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -205,15 +205,16 @@ def _rollouts_table(name: str, header: Header, query: sa.Select[Any], *, violati
         of_block = row.starts is not None
         starts = np.frombuffer(row.starts).reshape(row.tests, -1).tolist() if of_block else [json.loads(row.x)]
         facts = list(each(rollout_fact(row)))
-        # They follow from the seeds, as in the requests.
-        drawn = template.disturbances(row.variant, [fact.seed for fact in facts]) if facts else ()
+        # They follow from starts and seeds, as in the requests.
+        places = [starts[fact.rollout.test - row.first] for fact in facts]
+        drawn = template.disturbances(row.variant, places, [fact.seed for fact in facts]) if facts else ()
         for fact, values in zip(facts, drawn or [()] * len(facts), strict=True):
             which = (str(fact.rollout), *fact.rollout, fact.seed)
             found = (fact.robustness, int(fact.by_tolerance), fact.ended, fact.path, fact.size, fact.sha256)
             yield *which, *starts[fact.rollout.test - row.first], *values, *found, *attempt
 
     robustness = ExportColumn("robustness", unit=robustness_unit(header.config, header.spec))
-    disturbances = _declared("disturbance", header.spec.disturbances)
+    disturbances = _declared("disturbance", header.spec.disturbances, taken=header.spec.as_parameters)
     columns = (*_ROLLOUT, *_starts(header), *disturbances, robustness, *_REMARKS, *_FILE, *_ATTEMPT)
     return ExportTable(name, columns, query, expand)
 
@@ -331,9 +332,11 @@ def _starts(header: Header) -> tuple[ExportColumn, ...]:
     return _declared("start", header.spec.parameters)
 
 
-def _declared(what: str, numbers: Iterable[Parameter | Disturbance]) -> tuple[ExportColumn, ...]:
-    """Return numbers that a system declares; one that is called like a column of ours gets a name that is free."""
-    names = ((f"{what}_{each.name}" if each.name in _TAKEN else each.name, each.unit) for each in numbers)
+def _declared(
+    what: str, numbers: Iterable[Parameter | Disturbance], *, taken: Collection[str] = ()
+) -> tuple[ExportColumn, ...]:
+    """Return numbers that a system declares; one that is called like another column gets a name that is free."""
+    names = ((f"{what}_{each.name}" if each.name in {*_TAKEN, *taken} else each.name, each.unit) for each in numbers)
     return tuple(ExportColumn(name, unit=unit) for name, unit in names)
 
 

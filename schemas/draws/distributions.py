@@ -45,7 +45,7 @@ def truncated(
     [0.0, 2.5, 5.0]
 
     """
-    before = before or _before(name, keys, low, high)
+    before = before or frozen(name, keys, low, high)
     low, high = low - beyond, high + beyond
     if before is None:
         # Basic arithmetic alone: equal on all machines.
@@ -97,7 +97,7 @@ def _power_of_ten(exponent: int) -> float:
     return math.nextafter(power, math.inf) if below else power
 
 
-def _before(name: DistributionName, keys: Mapping[str, float], low: float, high: float) -> Any | None:
+def frozen(name: DistributionName, keys: Mapping[str, float], low: float, high: float) -> Any | None:
     """Return the frozen distribution of scipy before the truncation; None for the uniform one."""
     if name == "uniform":
         return None

@@ -20,7 +20,7 @@ from ..errors import DefinitionError
 from ..file.disturbance import Disturbance
 from ..ranges import LARGEST_NUMBER
 from .counter import open_shares
-from .distributions import to_digits, truncated
+from .distributions import frozen, to_digits, truncated
 
 Floats = NDArray[np.float64]
 Inverse = Callable[[Floats], Floats]
@@ -39,6 +39,7 @@ class Laws:
 
     def __init__(self, laws: Sequence[Disturbance]) -> None:
         self._laws, self._inverses = tuple(laws), [inverse(law) for law in laws]
+        self._of_scores = [of_scores(law) for law in laws]
 
     def values(self, seeds: ArrayLike) -> Floats:
         """Return the values (R, k) for rollouts with these seeds (R,): row r follows from its seed alone."""
@@ -58,6 +59,10 @@ class Laws:
             for k, law in enumerate(self._laws)
         ]
         return np.column_stack(columns)
+
+    def at_scores(self, place: int, scores: ArrayLike) -> Floats:
+        """Return the values (n,) of the disturbance in a place at scores (n,) as of `scores`."""
+        return self._of_scores[place](np.asarray(scores, dtype=np.float64))
 
     @cached_property
     def middles(self) -> tuple[float, ...]:
@@ -91,8 +96,57 @@ def inverse(law: Disturbance) -> Inverse:
     if law.choices is not None:
         values = np.array(law.choices)
         return lambda shares: values[_place(law, shares)]
-    low, high = (end if end is not None else sign * math.inf for end, sign in ((law.low, -1), (law.high, 1)))
-    exact = _unbounded(law) if (low, high) == (-math.inf, math.inf) else _truncated(law, low, high)
+    if (by_score := _by_score(law)) is not None:
+        from scipy.special import ndtri  # noqa: PLC0415  (a tenth of a second that few commands need)
+
+        return _rounded(law, lambda shares: by_score(ndtri(shares)))
+    return _rounded(law, _truncated(law))
+
+
+def of_scores(law: Disturbance) -> Inverse:
+    """Return the values of a law at scores (n,): normal quantiles of the shares of `inverse`, or numbers of choices.
+
+    Raises:
+        ValueError: as `check_law`.
+
+    """
+    if law.choices is not None:
+        values = np.array(law.choices)
+        return lambda scores: values[scores.astype(int)]
+    # Not through the shares: near 1 these have no digits left, and 3 standard deviations are to be 3.
+    if (by_score := _by_score(law)) is not None:
+        return _rounded(law, by_score)
+    from scipy.special import ndtr  # noqa: PLC0415  (as above)
+
+    exact = _truncated(law)
+    return _rounded(law, lambda scores: exact(ndtr(scores)))
+
+
+def outside(law: Disturbance, low: float, high: float, *, scored: bool) -> float:
+    """Return the probability of a value that is not in [low, high], of a law without choices.
+
+    `scored`: of a score, for which it is that of the values beyond at most, whatever the law.
+
+    >>> round(outside(Disturbance(low=0.0, high=10.0), 1.0, 8.0, scored=False), 12)
+    0.3
+    """
+    from scipy import stats  # noqa: PLC0415  (a second of start-up that few commands need)
+
+    if scored:
+        return float(stats.norm.cdf(low) + stats.norm.sf(high))
+    least, most = _ends(law)
+    if law.scipy is not None:
+        before = _of_scipy(law)
+    else:
+        before = frozen(law.distribution, law.described, least, most) or stats.uniform(least, most - least)
+    ends = [(least, low), (high, most)]
+    # From either side, so that no tail is a difference of numbers near 1.
+    tails = [abs(of(b) - of(a)) for (a, b), of in zip(ends, (before.cdf, before.sf), strict=True)]
+    return float(sum(tails) / min(abs(of(most) - of(least)) for of in (before.cdf, before.sf)))
+
+
+def _rounded(law: Disturbance, exact: Inverse) -> Inverse:
+    low, high = _ends(law)
 
     def rounded(shares: Floats) -> Floats:
         values = np.clip(exact(shares), -LARGEST_NUMBER, LARGEST_NUMBER)
@@ -101,19 +155,25 @@ def inverse(law: Disturbance) -> Inverse:
     return rounded
 
 
-def _unbounded(law: Disturbance) -> Inverse:
-    from scipy.special import ndtri  # noqa: PLC0415  (a tenth of a second that few commands need)
+def _ends(law: Disturbance) -> tuple[float, float]:
+    return -math.inf if law.low is None else law.low, math.inf if law.high is None else law.high
 
-    if law.distribution == "normal" and law.scipy is None:
+
+def _by_score(law: Disturbance) -> Inverse | None:
+    """Return the values at scores, where a formula has them."""
+    if law.scipy is not None or _ends(law) != (-math.inf, math.inf):
+        return None
+    if law.distribution == "normal":
         mean, sd = law.described["mean"], law.described["sd"]
-        return lambda shares: mean + sd * ndtri(shares)
-    if law.distribution == "lognormal" and law.scipy is None:
+        return lambda scores: mean + sd * scores
+    if law.distribution == "lognormal":
         median, sigma = law.described["median"], law.described["sigma"]
-        return lambda shares: median * np.exp(sigma * ndtri(shares))
-    return _truncated(law, -math.inf, math.inf)
+        return lambda scores: median * np.exp(sigma * scores)
+    return None
 
 
-def _truncated(law: Disturbance, low: float, high: float) -> Inverse:
+def _truncated(law: Disturbance) -> Inverse:
+    low, high = _ends(law)
     return truncated(law.distribution, law.described, low, high, before=_of_scipy(law) if law.scipy else None)
 
 

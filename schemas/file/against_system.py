@@ -3,19 +3,35 @@
 from collections.abc import Iterator
 
 from ..errors import CampaignError, DefinitionError, meant, nearest_name
-from ..system import SystemSpec
+from ..system import SCORED, Parameter, SystemSpec
 from .config import CampaignConfig
+from .disturbance import Disturbance
 from .drawn_claims import drawn_claims, fewest_samples
+from .method_spaces import draws_starts
 from .objectives import rolled_out
 from .parameters import signal_shapes
 from .parts import parts_of
 from .problem_models import KernelProblem, Problem, RigorousProblem
-from .space import Scenarios, StartTable
+from .space import Range, Scenarios, StartTable
+
+MOST_SCORE = 6.0
+"""Standard deviations that a bounded disturbance reaches at most: a probability beyond is below any known law's."""
 
 
 def as_in_campaign(spec: SystemSpec, config: CampaignConfig | None) -> SystemSpec:
-    """Return a system as a campaign knows it: with its knots as parameters, and with the laws of its disturbances."""
-    return spec.spread() if config is None else spec.spread(signal_shapes(config.space), config.disturbances)
+    """Return a system as a campaign knows it.
+
+    With its knots and its bounded disturbances as parameters, and with the laws of its disturbances.
+    """
+    if config is None:
+        return spec.spread()
+    ranges = config.space if isinstance(config.space, dict) else {}
+    added = {
+        law.name: Parameter(name=law.name, unit=each.unit or law.unit, low=each.low, high=each.high)
+        for law in spec.disturbances
+        if (each := ranges.get(law.name)) is not None
+    }
+    return spec.spread(signal_shapes(config.space), config.disturbances, added)
 
 
 def check_against(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
@@ -89,18 +105,50 @@ def _disturbance_faults(config: CampaignConfig, spec: SystemSpec) -> Iterator[st
             check_law(law)
         except DefinitionError as error:
             yield f"disturbances.{error}"
+        else:
+            if isinstance(config.space, dict) and law.name in config.space:
+                yield from _bounded_faults(config, spec.declared, law, config.space[law.name])
+
+
+def _bounded_faults(config: CampaignConfig, spec: SystemSpec, law: Disturbance, given: Range) -> Iterator[str]:
+    """Yield what is wrong with the range of a disturbance."""
+    where = f"space.{law.name}"
+    drawing = [problem.method for problem in config.problems if draws_starts(problem.method)]
+    if drawing:
+        yield (
+            f"{where}: method {drawing[0]!r} draws disturbances from their laws; remove this range, or choose "
+            "'rigorous', 'kriging' or 'scenario' for a claim about every value in it"
+        )
+    elif law.choices is not None:
+        yield (
+            f"{where}: the law of {law.name} has choices, of which a range has no others; remove it here, or make it a "
+            "parameter of the system"
+        )
+    elif given.signal is not None:
+        yield f"{where}.signal: {law.name} is a disturbance, one number of a rollout; remove signal and knots"
+    elif not any(set(rolled_out(problem.name, spec)) & set(spec.noisy) for problem in config.problems):
+        # In the others each disturbance has its median, whatever the start.
+        yield f"{where}: no variant that is simulated here has disturbances; remove this range"
+    elif given.unit == SCORED:
+        if not -MOST_SCORE <= given.low <= given.high <= MOST_SCORE:
+            yield f"{where}: [{given.low:g}, {given.high:g}] sd is not allowed: allowed are at most {MOST_SCORE:g} sd"
+    elif given.unit not in ("", law.unit):
+        yield f"{where}.unit: {given.unit!r} is not allowed: {spec.name} takes {law.unit!r}, or 'sd' for scores"
+    elif not (law.low is None or law.low <= given.low) or not (law.high is None or given.high <= law.high):
+        yield f"{where}: [{given.low:g}, {given.high:g}] leaves the values of its law: {law.words}"
 
 
 def _space_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
     if not isinstance(config.space, dict):
         return list(_row_faults(config.space, spec))
     known = {parameter.name: parameter for parameter in spec.declared.parameters}
+    disturbances = {each.name for each in spec.disturbances}
+    unknown = [name for name in config.space if name not in known and name not in disturbances]
     faults = [
-        f"space.{name}: unknown parameter; {meant(name, known)}{spec.name} has {', '.join(known)}"
-        for name in config.space
-        if name not in known
+        f"space.{name}: unknown parameter; {meant(name, [*known, *disturbances])}{spec.name} has {', '.join(known)}"
+        for name in unknown
     ]
-    misspelt = {nearest_name(name, known) for name in config.space if name not in known}
+    misspelt = {nearest_name(name, known) for name in unknown}
     faults += [
         f"space.{name}: this parameter of {spec.name} is required"
         for name in known
@@ -145,9 +193,11 @@ def _row_faults(space: Scenarios | StartTable, spec: SystemSpec) -> Iterator[str
 
 def _kernel_faults(config: CampaignConfig, spec: SystemSpec) -> Iterator[str]:
     # Other parameters have lines already, and length scales that follow from them would repeat their names.
-    if isinstance(config.space, dict) and config.space.keys() != {each.name for each in spec.declared.parameters}:
+    declared = as_in_campaign(spec.declared, config)
+    required = {*(each.name for each in spec.declared.parameters), *declared.as_parameters}
+    if isinstance(config.space, dict) and config.space.keys() != required:
         return
-    parameters = as_in_campaign(spec, config).parameters
+    parameters = declared.parameters
     names = {parameter.name for parameter in parameters}
     for where, problem in _having(config, "kernel"):
         lengths = problem.kernel.length_scale if isinstance(problem, KernelProblem) else None
@@ -199,7 +249,7 @@ def _claim_faults(config: CampaignConfig, problem: Problem, *, noisy: bool) -> I
 
 
 def _nominal_faults(config: CampaignConfig, spec: SystemSpec) -> Iterator[str]:
-    known = {parameter.name: parameter for parameter in spec.parameters}
+    known = {parameter.name: parameter for parameter in as_in_campaign(spec, config).parameters}
     for name, value in (config.falsify.nominal if config.falsify else {}).items():
         if name not in known:
             yield f"falsify.nominal.{name}: unknown parameter; {meant(name, known)}{spec.name} has {', '.join(known)}"
@@ -211,8 +261,9 @@ def _nominal_faults(config: CampaignConfig, spec: SystemSpec) -> Iterator[str]:
 
 
 def _rollout_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
+    # Where every disturbance is bounded, no variant may be noisy.
+    spec, faults = as_in_campaign(spec, config), []
     columns = [column.name for column in spec.columns]
-    faults = []
     if spec.repeated == "nowhere" and config.recheck > 0:
         faults.append(f"recheck: {config.recheck} is not allowed: no rollout of {spec.name} can be repeated; give 0")
     if config.horizon > spec.max_horizon:

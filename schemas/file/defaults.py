@@ -10,7 +10,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from ..system import ASSUMED_HORIZON
+from ..system import ASSUMED_HORIZON, SCORED
 from .composition import is_composed
 from .config import CampaignConfig
 from .objectives import MethodName, ProblemName
@@ -38,6 +38,8 @@ STAND_INS: dict[str, Any] = {
 # Length scales alone: B, R and alpha are assumptions or wishes of a person, and no box says anything of them.
 DERIVED: Mapping[Any, type] = {"rigorous": RigorousProblem, "kriging": KrigingProblem}
 """Methods whose length scales follow from the box where the file gives none."""
+WITHIN = re.compile(r"within ([0-9]+(?:\.[0-9]+)?) sd")
+"""Short form of the range of a bounded disturbance."""
 ENDS: dict[str, Any] = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
 """JSON Schema of the short form of a range, [low, high]."""
 
@@ -143,7 +145,10 @@ def _ends(value: Any) -> tuple[float, float] | None:
 
 
 def _with_ends(value: Any) -> Any:
-    """Return the table of a range in its short form, [low, high], or of choices; any other value as it is."""
+    """Return the table of a range in a short form, [low, high] or "within 3 sd", or of choices; others as they are."""
+    if isinstance(value, str) and (found := WITHIN.fullmatch(value)):
+        reach = float(found[1])
+        return {"low": -reach, "high": reach, "unit": SCORED}
     if isinstance(value, list) and len(value) == 2 and not any(isinstance(each, list) for each in value):
         return {"low": value[0], "high": value[1]}
     if isinstance(value, Mapping) and "choices" in value:
@@ -204,8 +209,9 @@ def file_schema() -> dict[str, Any]:
             schema["properties"].setdefault(key, {"description": f"of the only problem: {value.get('description')}"})
     # Left out, they follow from the ranges; method `paper` says that it has no such default.
     schema["$defs"]["MaternKernel"]["required"].remove("length_scale")
+    within = {"type": "string", "pattern": f"^{WITHIN.pattern}$"}
     ends = [{"required": schema["$defs"]["Range"].pop("required")}, {"required": ["choices"]}]
-    schema["$defs"]["Range"] = {"anyOf": [ENDS, schema["$defs"]["Range"] | {"anyOf": ends}]}
+    schema["$defs"]["Range"] = {"anyOf": [ENDS, within, schema["$defs"]["Range"] | {"anyOf": ends}]}
     for name, key in (("Scenarios", "scenarios"), ("StartTable", "table")):
         rows = schema["$defs"][name]["properties"]
         rows[key] = {"anyOf": [{"type": "string"}, rows[key]]}

@@ -169,6 +169,8 @@ def _describe(fault: Any, key: str, one_problem: bool) -> str:
     if kind == "string_pattern_mismatch" and location == ("system", "python"):
         return f"{key}: {fault['input']!r} is not allowed: allowed is FILE.py:NAME, a function or class in a file"
     known = "a list of texts" if listed in LISTS and location[1:2] == ("header",) else _allowed(location)
+    if known == _RANGE and isinstance(fault.get("input"), str):
+        known += '; of a disturbance also "within 3 sd"'
     most = f"at most {fault['ctx']['max_length']} entries" if kind == "too_long" else ""
     allowed_text = known or most or message.removeprefix("Input should be ").replace("an object", "a table")
     if kind == "missing" and isinstance(location[-1], str):

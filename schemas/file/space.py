@@ -168,7 +168,10 @@ class Range(Distributed):
 
     low: float = Field(description="smallest value")
     high: float = Field(description="largest value")
-    unit: str = Field(default="", description="if given, must be that of the system's parameter")
+    unit: str = Field(
+        default="",
+        description="if given, must be that of the system's parameter; `sd` for the scores of a disturbance",
+    )
     distribution: DistributionName = Field(
         default="uniform",
         exclude_if=lambda name: name == "uniform",

@@ -146,6 +146,28 @@ class ProblemResult(Model):
         return self.name if self.requirement is None else f"{self.name}/{self.requirement}"
 
 
+class BoundedDisturbance(Model):
+    """The values of one disturbance that a claim is for: with the unit `sd` its range is one of scores."""
+
+    name: str
+    low: float
+    high: float
+    unit: str
+    values: tuple[float, float] = Field(description="the range in the unit of the disturbance")
+    unit_of_values: str
+
+
+class Bounded(Model):
+    """The set of disturbances for every one of which the claims are."""
+
+    disturbances: tuple[BoundedDisturbance, ...]
+    outside: float = Field(description="upper bound of the probability that one of them is outside")
+    failure_probability: float | None = Field(
+        description="upper bound of the probability that a rollout fails, at every start, if the first claim is true; "
+        "null where it does not follow, as where other things are random or the claim is below 0"
+    )
+
+
 class Assumption(Model):
     """One assumption of the claims, and its status by the data; `detail` follows from the form and the values."""
 
@@ -341,6 +363,11 @@ class Predicate(Model):
     assumptions: tuple[Assumption, ...]
     counterexample: Counterexample | None = Field(
         default=None, description="of a campaign with `until_counterexample` that found one"
+    )
+    bounded: Bounded | None = Field(
+        default=None,
+        exclude_if=lambda bounded: bounded is None,
+        description="of a campaign with ranges of disturbances",
     )
     regions: CertifiedRegions | None = Field(
         default=None, description="of a campaign with `regions`, unless the data refute its assumptions"

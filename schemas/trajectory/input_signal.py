@@ -93,11 +93,11 @@ def start_values(spec: SystemSpec, x: Sequence[float], horizon: float) -> dict[s
         SimulationError: `x` has more or fewer numbers, or a signal no time.
 
     """
-    if len(x) != len(spec.parameters):
-        raise SimulationError(f"{spec.name} takes {len(spec.parameters)} parameters, not {len(x)}")
+    if len(x) != len(spec.own_parameters):
+        raise SimulationError(f"{spec.name} takes {len(spec.own_parameters)} parameters, not {len(x)}")
     if spec.signals and not horizon > 0:
         raise SimulationError(f"{spec.name} takes inputs over time; give a horizon above 0 s")
-    values = dict(zip((each.name for each in spec.parameters), map(float, x), strict=True))
+    values = dict(zip((each.name for each in spec.own_parameters), map(float, x), strict=True))
     signals = {
         shape.name: InputSignal(shape.kind, tuple(values[name] for name in shape.names), horizon)
         for shape in spec.signals

@@ -291,7 +291,7 @@ def spot_check_plan(header: Header, plans: Collection[ProblemPlan], name: str = 
         rollouts,
         later=(config.spot_check, later) if later else None,
         batch=config.batch,
-        block=block_size(config.batch, rollouts, len(header.spec.parameters)),
+        block=block_size(config.batch, rollouts, header.spec.numbers),
         followups=apart,
     )
 

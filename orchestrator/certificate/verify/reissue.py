@@ -49,6 +49,7 @@ def compared(header: Header, reissued: Certificate, certificate: Certificate) ->
         ("spot check", lambda side: _without_wealth(side["spot_check"]), ROUND_OFF, ""),
         ("spot check", lambda side: side["spot_check"], compare.SIX_DIGITS, starts),
         ("recheck", lambda side: side["recheck"], ROUND_OFF, repeated),
+        ("claims", lambda side: {"bounded": side.get("bounded")}, ROUND_OFF, ""),
         ("claims", lambda side: side["sensitivity"], ROUND_OFF, ""),
         (
             "claims",

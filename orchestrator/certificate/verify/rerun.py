@@ -267,7 +267,10 @@ class Rerun:
             return None
         entry = self._entries[file]
         try:
-            found = self._starts(file)[0] if file.places else read_mcap(self._read(entry)).request["x"]
+            if file.places:
+                return self._starts(file)[0]
+            request = read_mcap(self._read(entry)).request
+            found = request.get("start") or request["x"]
             return tuple(float(value) for value in found)
         except (TrajectoryError, KeyError, TypeError, ValueError, OverflowError) as error:
             raise CheckFailed("trajectories", f"{entry.path}: {error}") from None
@@ -294,7 +297,7 @@ class Rerun:
         return BlockProposalFact.of(own.problem, own.test, own.nodes, x)
 
     def _starts(self, file: FileId) -> tuple[tuple[float, ...], ...]:
-        return BatchRequest.model_validate_json(read_stored(self._read(self._entries[file])).request).x
+        return BatchRequest.model_validate_json(read_stored(self._read(self._entries[file])).request).chosen
 
     def _check_end(self, used: set[FileId], missing: Sequence[RolloutId]) -> None:
         # A campaign cut at a good moment: its rule has not stopped it.

@@ -15,6 +15,8 @@ from ....schemas.file.drawn_claims import PROBABILITIES, is_sampled
 from ....schemas.file.objectives import OBJECTIVES, Quantity
 from ....schemas.result.certificate import (
     Assumption,
+    Bounded,
+    BoundedDisturbance,
     Certificate,
     CertificateClaim,
     CompositionTerms,
@@ -26,9 +28,10 @@ from ....schemas.result.certificate import (
     SpotCheck,
     SpotCheckedProblem,
 )
+from ....schemas.system import SCORED
 from ...campaign.clip import SAME, floored, is_vacuous
 from ..assumptions.sentences import title, value_text
-from .bound_text import chance, clip_words, margin_text, outward, short_chance, start_words, with_named_starts
+from .bound_text import chance, clip_words, in_unit, margin_text, outward, short_chance, start_words, with_named_starts
 from .console_lines import hanging, heading, plain_line
 from .refutation_text import counterexample_words, refutation_sentence, risk_sentence
 from .region_text import region_sentences
@@ -232,12 +235,39 @@ def notes(predicate: Predicate, number: int) -> tuple[str, ...]:
         both = ", in both problems" if composes(claim.rule) else ""
         values = "; ".join(f"with {VARIED[row.constant, row.factor]} {_varied(claim, row.bound)}" for row in rows)
         found.append(f"The same tests{both}: {values}.")
+    if number == 0 and predicate.bounded is not None:
+        found += _bounded_words(predicate.bounded)
     if number == 0:
         found += [_control_words(each.name, each.control) for each in predicate.problems if each.control is not None]
     most = predicate.spot_check and predicate.spot_check.most_starts
     if number == 0 and most and not is_irreproducible(claim):
         found.append(_sentence_on_most_starts(most))
     return tuple(found)
+
+
+def _bounded_words(bounded: Bounded) -> list[str]:
+    """Return what the set of bounded disturbances is, and what a claim for all of it implies, in a sentence each."""
+    each = list(map(_range_words, bounded.disturbances))
+    which, it = (each[0], "it") if len(each) == 1 else (f"{', '.join(each[:-1])} and {each[-1]}", "all of them")
+    inside = outward(1.0 - bounded.outside, ">=")
+    found = [f"The claim is for every {which}; a rollout has {it} in this range with probability at least {inside}."]
+    if bounded.failure_probability is not None:
+        share = outward(bounded.failure_probability, "<=")
+        found.append(
+            f"Nothing else is random, so that at every start a rollout fails with probability at most {share}, if "
+            "the claim holds."
+        )
+    return found
+
+
+def _range_words(found: BoundedDisturbance) -> str:
+    """Return a bounded disturbance in words."""
+    low, high = (f"{each:.4g}" for each in found.values)
+    values = in_unit(f"{low} to {high}", found.unit_of_values)
+    if found.unit != SCORED:
+        return f"{found.name} from {values}"
+    scores = f"within {found.high:g} sd" if found.low == -found.high else f"from {found.low:g} to {found.high:g} sd"
+    return f"{found.name} {scores} ({values})"
 
 
 def _control_words(problem: str, control: ControlResult) -> str:

@@ -50,7 +50,7 @@ class WantedRollout:
 
         """
         config = named_campaign(self.system)
-        spec = as_in_campaign(system_spec(self.system, "SYSTEM"), config)
+        spec = as_in_campaign(system_spec(self.system, "SYSTEM"), config).as_simulated
         horizon = chosen_horizon(spec, config.horizon if config and self.horizon is None else self.horizon)
         if self.seed >= 2**spec.seed_bits:
             limit = 2**spec.seed_bits - 1

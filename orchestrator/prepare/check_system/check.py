@@ -83,8 +83,9 @@ def checked_system(
     spec = as_in_campaign(system_spec(reference, "SYSTEM"), config)
     if config is not None:
         check_against(config, spec, reference)
-        if isinstance(config.space, dict) and config.where is not None:
-            check_where(config.space, config.where, reference)
+    bounded, spec = spec.as_parameters, spec.as_simulated  # the system is checked with the laws that it declares
+    if config is not None and isinstance(config.space, dict) and config.where is not None:
+        check_where(config.space, config.where, reference)
     if variant is not None and variant not in spec.variants:
         raise PerfboundError(f"--variant {variant}: {spec.name} has {', '.join(spec.variants)}")
     if limit is None:  # the default deadline of a campaign is one for all systems
@@ -98,7 +99,8 @@ def checked_system(
         seed=seed,
         space=None if config is None else config.space,
     )
-    if config is not None and config.where is not None:
+    # A condition on bounded disturbances is none on the starts of a system.
+    if config is not None and config.where is not None and not bounded:
         trials = replace(trials, where=config.where)
     program = config is not None and config.system.program is not None
     folder = ("--folder", str(Path(reference).absolute().parent)) if program else ()

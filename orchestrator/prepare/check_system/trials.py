@@ -180,7 +180,7 @@ class Trials:
             rng = np.random.default_rng([self.seed, *DISTURBED.encode()])
             seeds = list(map(int, rng.integers(2**self.spec.seed_bits, size=OTHER_VALUES)))
             yield Trial(request=request.model_copy(update={"problem": RESIDUAL, "seed": seeds[0]}))
-            others = self.template.disturbances(request.variant, seeds)
+            others = self.template.disturbances(request.variant, [request.x] * len(seeds), seeds)
             for k, value in enumerate(request.disturbances[:MOST_DISTURBED]):
                 values = list(request.disturbances)
                 # Of few choices some draws are alike.

@@ -82,7 +82,7 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
         _check_unwritten(wish.out)
     question = QUESTIONS[wish.question]
     known = named_campaign(wish.reference)
-    spec = as_in_campaign(system_spec(wish.reference, "SYSTEM"), known)
+    spec = as_in_campaign(system_spec(wish.reference, "SYSTEM"), known).as_simulated
     if wish.specification is None and known is not None and known.specification:
         wish = replace(wish, specification=known.specification)
     folder = Path(wish.reference).parent if known else Path()

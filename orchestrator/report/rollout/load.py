@@ -98,7 +98,7 @@ def description(found: RecordedRollout) -> str:
     request, spec = found.request, found.header.spec
     start = ", ".join(
         f"{each.name} = {value:g} {each.unit}".removesuffix(" 1")
-        for each, value in zip(spec.parameters, request.x, strict=True)
+        for each, value in zip(spec.own_parameters, request.x, strict=True)
     )
     score = "" if found.fact.robustness is None else f", robustness {found.fact.robustness:.6g}"
     score += "; its sign may depend on a time stamp close to a border of a window" if found.fact.by_tolerance else ""

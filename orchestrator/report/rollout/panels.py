@@ -53,7 +53,7 @@ def drawn_rollout(spec: SystemSpec, request: RolloutRequest, trajectory: Traject
 def _rollout_title(spec: SystemSpec, request: RolloutRequest, shown: int) -> str:
     start = ", ".join(
         f"{each.name} = {value:g} {style.plain_text(each.unit)}".removesuffix(" 1").rstrip()
-        for each, value in zip(spec.parameters, request.x, strict=True)
+        for each, value in zip(spec.own_parameters, request.x, strict=True)
     )
     some = "" if shown == len(spec.columns) - 1 else f"; {shown} of {len(spec.columns) - 1} columns"
     drawn = f"; {style.plain_text(request.disturbance_words(spec))}" if request.disturbances else ""

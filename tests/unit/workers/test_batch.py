@@ -253,6 +253,6 @@ def test_a_rollout_within_its_batch_has_the_disturbances_of_all() -> None:
     whole = WithinBatch(x=((1.0,), (2.0,)), seeds=(5, 6), place=1)
     request = template.request(RolloutId("recheck", 0, "nominal", 0), (2.0,), 6, within=whole)
     assert request.within is not None
-    assert request.within.disturbances == template.disturbances("nominal", [5, 6])
+    assert request.within.disturbances == template.disturbances("nominal", [(1.0,), (2.0,)], [5, 6])
     found = decode(run_request_on(many_windy, request, lambda _: None))
     assert found.column("y").tolist() == [2.0 + request.disturbances[0]]
