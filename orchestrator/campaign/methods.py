@@ -92,10 +92,12 @@ def _one_method(plan: ProblemPlan, header: Header) -> OneMethod:
                 alpha=problem.alpha,
                 risk=_scenario_risk(problem) if plan.objective.risk else "mean",
                 constants=None if constants is None else (constants.centre, constants.spread),
+                disturbed=_disturbed(plan, header, plan.budget * plan.replicates),
             )
         case SampleProblem():
+            disturbed = _disturbed(plan, header, plan.budget)
             return SampleMethod(
-                [_terms(plan, claim) for claim in plan.claims],
+                [_terms(plan, claim, disturbed) for claim in plan.claims],
                 Draws(header, plan.name).start,
                 # An exact bound needs a number of samples that no outcome decides, and a counterexample decides it.
                 fixed=None if plan.until_counterexample else plan.budget,
@@ -172,7 +174,7 @@ def kernel(plan: ProblemPlan, problem: KernelProblem) -> Matern:
     return Matern(problem.kernel.nu, length)
 
 
-def _terms(plan: ProblemPlan, claim: DrawnClaim) -> Terms:
+def _terms(plan: ProblemPlan, claim: DrawnClaim, disturbed: Disturbed | None) -> Terms:
     asked = claim.asked
     return Terms(
         quantity=asked.quantity,
@@ -183,6 +185,7 @@ def _terms(plan: ProblemPlan, claim: DrawnClaim) -> Terms:
         risk_weight=plan.risk_weight,
         deterministic=plan.deterministic,
         place=claim.place,
+        disturbed=disturbed,
     )
 
 
@@ -209,14 +212,17 @@ def _mixture(problem: RigorousProblem, noise: float) -> tuple[tuple[float, float
     return ((problem.regulariser, 1.0),)
 
 
-def _disturbed(plan: ProblemPlan, header: Header) -> Disturbed | None:
-    """Return the disturbances of the rollouts of a problem; None where no control is asked for, or possible."""
+def _disturbed(plan: ProblemPlan, header: Header, values: int = 1) -> Disturbed | None:
+    """Return the disturbances of the rollouts of a problem; None where no control is asked for, or possible.
+
+    `values` are the planned ones of one law.
+    """
     if not plan.controlled:
         return None
     laws = header.spec.disturbances
     knots = min(max(MOST_FUNCTIONS // len(laws), 2), MOST_KNOTS)
     bases: list[Basis] = [choice_basis(law.shares, knots) if law.choices else normal_basis(knots) for law in laws]
-    return Disturbed(tuple(bases), _Scores(plan, header).of)
+    return Disturbed(tuple(bases), _Scores(plan, header).of, values)
 
 
 class _Scores:
