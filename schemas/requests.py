@@ -10,7 +10,7 @@ from .system import SCORED, OptionValue, SystemSpec
 
 if TYPE_CHECKING:
     from .batch import BatchRequest
-    from .draws.laws import Laws
+    from .draws.laws import Floats, Laws
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +86,13 @@ class RequestTemplate:
             at = self.laws.at_scores(place, given) if parameter.unit == SCORED else given
             values[:, place] = [value for value in at for _ in range(len(seeds) // len(starts))]
         return tuple(map(tuple, values.tolist()))
+
+    def scores(self, seeds: Sequence[int]) -> "Floats":
+        """Return the scores of the disturbances that are drawn (R, k), of a system that has some."""
+        assert self.laws is not None, "a system without disturbances has no scores"
+        drawn = [place for place, law in enumerate(self.spec.disturbances) if law.name not in self.spec.as_parameters]
+        found: Floats = self.laws.scores(seeds)[:, drawn]
+        return found
 
     def _own(self, start: Sequence[float]) -> tuple[float, ...]:
         """Return the part of a start that is no disturbance."""

@@ -93,10 +93,12 @@ def _one_method(plan: ProblemPlan, header: Header) -> OneMethod:
                 alpha=problem.alpha,
                 risk=_scenario_risk(problem) if plan.objective.risk else "mean",
                 constants=None if constants is None else (constants.centre, constants.spread),
+                disturbed=disturbed(plan, header, plan.budget * plan.replicates),
             )
         case SampleProblem():
+            known = disturbed(plan, header, plan.budget)
             return SampleMethod(
-                [_terms(plan, claim) for claim in plan.claims],
+                [_terms(plan, claim, known) for claim in plan.claims],
                 Draws(header, plan.name).start,
                 # An exact bound needs a number of samples that no outcome decides, and a counterexample decides it.
                 fixed=None if plan.until_counterexample else plan.budget,
@@ -173,7 +175,7 @@ def kernel(plan: ProblemPlan, problem: KernelProblem) -> Matern:
     return Matern(problem.kernel.nu, length)
 
 
-def _terms(plan: ProblemPlan, claim: DrawnClaim) -> Terms:
+def _terms(plan: ProblemPlan, claim: DrawnClaim, disturbed: Disturbed | None) -> Terms:
     asked = claim.asked
     return Terms(
         quantity=asked.quantity,
@@ -184,6 +186,7 @@ def _terms(plan: ProblemPlan, claim: DrawnClaim) -> Terms:
         risk_weight=plan.risk_weight,
         deterministic=plan.deterministic,
         place=claim.place,
+        disturbed=disturbed,
     )
 
 
@@ -210,11 +213,14 @@ def _mixture(problem: RigorousProblem, noise: float) -> tuple[tuple[float, float
     return ((problem.regulariser, 1.0),)
 
 
-def disturbed(plan: ProblemPlan, header: Header) -> Disturbed | None:
-    """Return the disturbances of the rollouts of a problem; None where no control is asked for, or possible."""
+def disturbed(plan: ProblemPlan, header: Header, values: int = 1) -> Disturbed | None:
+    """Return the disturbances of the rollouts of a problem; None where no control is asked for, or possible.
+
+    `values` are the planned ones of one law.
+    """
     if not plan.controlled:
         return None
-    return Disturbed(bases(header.spec), _Scores(plan, header).of)
+    return Disturbed(bases(header.spec), _Scores(plan, header).of, values)
 
 
 def bases(spec: SystemSpec) -> tuple[Basis, ...]:
@@ -228,7 +234,7 @@ class _Scores:
     """The scores of the rollouts of a problem, by the number of their test; they follow from the seeds."""
 
     def __init__(self, plan: ProblemPlan, header: Header) -> None:
-        self._plan, self._header, self._laws = plan, header, header.template.laws
+        self._plan, self._header, self._template = plan, header, header.template
         self._tests = max(AT_ONCE // plan.replicates, 1)
         self._variant = max(set(plan.variants) & set(header.spec.noisy))
         self._block: tuple[int, Floats] = (-1, np.empty(0))
@@ -242,10 +248,7 @@ class _Scores:
         return found
 
     def _drawn(self, first: int) -> Floats:
-        assert self._laws is not None, "a plan without disturbances is not controlled"
         # Both variants of a pair have the same seeds, and so the same disturbances.
         rollout = RolloutId(self._plan.name, first, self._variant, 0)
         seeds = rollout_seeds(self._header, rollout, self._tests, self._plan.replicates)
-        spec = self._header.spec
-        drawn = [place for place, law in enumerate(spec.disturbances) if law.name not in spec.as_parameters]
-        return self._laws.scores(seeds)[:, drawn].reshape(self._tests, self._plan.replicates, -1)
+        return self._template.scores(seeds).reshape(self._tests, self._plan.replicates, -1)

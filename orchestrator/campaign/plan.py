@@ -25,12 +25,14 @@ from ...schemas.file.problem_models import (
     Problem,
     RigorousProblem,
     SampleProblem,
+    ScenarioProblem,
 )
 from ...schemas.file.space import Scenarios, StartTable
 from ...schemas.system import SystemSpec, Variant
 from ..mathematics.bounds.composition import derived_noise_scale
 from ..mathematics.bounds.one_law.risk import least_without_risk, linearised_range
 from ..mathematics.bounds.rounding import round_up
+from ..mathematics.bounds.sample import CONTROLLED
 from ..mathematics.gp.lattice import Lattice
 from ..mathematics.gp.points import Points
 from ..mathematics.sobol import sobol_blocks
@@ -315,9 +317,9 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
         gradual=most_kept(config.keep) is not None,
         box=isinstance(config.space, dict),
         deterministic=not set(variants) & set(spec.noisy),
-        controlled=isinstance(problem, KrigingProblem)
+        controlled=config.control == "on"
         and bool(spec.drawn and set(variants) & set(spec.noisy))
-        and config.control == "on",
+        and _bets_on_means(problem, config),
         requirements=tuple(each.name for each in config.specifications),
         until_counterexample=config.until_counterexample,
         parts=tuple(parts),
@@ -338,6 +340,13 @@ def _candidates(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> L
         return spread_points(names, ends, starts, config.where)
     low, high = zip(*ends, strict=True)
     return Lattice(low, high, config.resolution_of(problem))
+
+
+def _bets_on_means(problem: Problem, config: CampaignConfig) -> bool:
+    """Whether a bound of the problem follows from bets on means, which a control leaves as they are."""
+    if isinstance(problem, SampleProblem):
+        return any(claim.asked.quantity in CONTROLLED for claim in config.claims_of(problem))
+    return isinstance(problem, KrigingProblem | ScenarioProblem)
 
 
 def _noise(problem: Problem, hoeffding: float) -> float:

@@ -13,6 +13,8 @@ from ..campaign.series import Account
 from ..mathematics.bounds.kriging.method import KrigingMethod
 from ..mathematics.bounds.paper.formulas import Tail, mills_probability
 from ..mathematics.bounds.rounding import decimal, floor_to_step, round_down, round_up
+from ..mathematics.bounds.sample import SampleMethod
+from ..mathematics.bounds.scenario import ScenarioMethod
 from .words.bound_text import clip_words
 
 TAILS: tuple[Tail, ...] = ("gaussian", "sub-gaussian")
@@ -64,7 +66,7 @@ def with_controls(results: Results, methods: Methods, header: Header) -> Results
 
 
 def _control(method: ProblemMethod, header: Header) -> document.ControlResult | None:
-    if not isinstance(method, KrigingMethod) or method.control is None:
+    if not isinstance(method, KrigingMethod | ScenarioMethod | SampleMethod) or method.control is None:
         return None
     control, before_fit = method.control
     return document.ControlResult(

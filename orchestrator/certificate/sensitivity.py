@@ -8,17 +8,24 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
+import numpy as np
+
 from ...schemas.file.bases import Basis, bases
 from ...schemas.file.composition import composes
 from ...schemas.file.config import CampaignConfig
 from ...schemas.file.problem_models import KernelProblem, RigorousProblem
 from ...schemas.result import certificate as document
 from ...schemas.result.facts import Header
+from ...schemas.values import Bound
 from ..campaign.clip import by_clip, floored, is_vacuous, least_risk, of_drawn_starts
-from ..campaign.methods import Methods, ProblemMethod, disturbed, kernel_method
+from ..campaign.methods import Methods, ProblemMethod, method
 from ..campaign.plan import Plans, ProblemPlan
 from ..campaign.series import Account
+from ..mathematics.bounds.kriging.method import KrigingMethod
+from ..mathematics.bounds.paper.method import PaperMethod
+from ..mathematics.bounds.rigorous.method import RigorousMethod
 from ..mathematics.bounds.rounding import decimal
+from ..mathematics.bounds.sample import CONTROLLED, SampleMethod
 from .claims import bound
 from .problem_results import Results, in_sense
 
@@ -27,7 +34,7 @@ Constant = Literal["rkhs_norm", "length_scale", "control"]
 VARIATIONS: tuple[tuple[Constant, float], ...] = (("rkhs_norm", 2.0), ("rkhs_norm", 4.0), ("length_scale", 0.5))
 """The constants that a claim is computed again with, in the order of the certificate."""
 WITHOUT_CONTROL: tuple[Constant, float] = ("control", 0.0)
-"""The last variation, where a control is used."""
+"""The last variation of a claim, where it is the only one if no kernel is behind it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,33 +77,49 @@ def sensitivity(
     accounts: Mapping[str, Account],
     results: Results,
 ) -> tuple[document.Sensitivity, ...] | None:
-    """Return every claim from kernels with other constants, from the recorded tests; None if there is no such claim."""
+    """Return every claim with other constants of its kernels, and without a control, from the recorded tests.
+
+    None if no claim has either.
+    """
     plans = {name: account.plan for name, account in accounts.items()}
-    numbered = [(k, basis) for k, basis in enumerate(bases(header.config)) if _from_kernels(basis, plans)]
-    if not numbered:
-        return None
-
-    def bounds(constant: Constant, factor: float) -> list[float | None]:
-        # From the recorded tests, in one step: a replay would take as long as the campaign, for the running extremes
-        # alone.
-        varied = _varied(header, accounts, results, constant, factor)
-        return [_bound_with(varied, basis, plans, claims[k]) for k, basis in numbered]
-
+    numbered = list(enumerate(bases(header.config)))
+    asked = {k: _variations(basis, plans) for k, basis in numbered}
+    found: dict[tuple[int, Constant], dict[float, float | None]] = {}
     # One constant after the other, because the methods of each have matrices as large as those of the campaign.
-    variations = (*VARIATIONS, WITHOUT_CONTROL) if any(plan.controlled for plan in plans.values()) else VARIATIONS
-    found = {each: bounds(*each) for each in variations}
-    return tuple(
-        document.Sensitivity(claim=k, constant=constant, factor=factor, bound=found[constant, factor][place])
-        for place, (k, _) in enumerate(numbered)
-        for constant, factor in variations
+    for constant, factor in (*VARIATIONS, WITHOUT_CONTROL):
+        concerned = [(k, basis) for k, basis in numbered if (constant, factor) in asked[k]]
+        if concerned:
+            # From the recorded tests, in one step: a replay would take as long as the campaign, for the running
+            # extremes alone.
+            varied = _varied(header, accounts, results, constant, factor)
+            for k, basis in concerned:
+                found.setdefault((k, constant), {})[factor] = _bound_with(varied, basis, plans, claims[k])
+    rows = tuple(
+        document.Sensitivity(claim=k, constant=constant, factor=factor, bound=found[k, constant][factor])
+        for k, _ in numbered
+        for constant, factor in asked[k]
     )
+    return rows or None
+
+
+def _variations(basis: Basis, plans: Plans) -> tuple[tuple[Constant, float], ...]:
+    """Return the constants that a claim is computed again with."""
+    uses = any(plans[name].controlled for name in basis.problems)
+    if basis.drawn is not None:
+        uses = uses and plans[basis.problems[0]].claims[basis.drawn].asked.quantity in CONTROLLED
+    return (*(VARIATIONS if _from_kernels(basis, plans) else ()), *((WITHOUT_CONTROL,) if uses else ()))
 
 
 def _bound_with(varied: Varied, basis: Basis, plans: Plans, claim: document.CertificateClaim) -> float | None:
     # One problem without a bound, or with a refuted one: the claim rests on both.
     if not set(basis.problems) <= set(varied.results):
         return None
-    return floored(bound(basis, plans, varied.results, varied.methods), claim.sense, claim.by_clip)
+    if basis.drawn is None:
+        return floored(bound(basis, plans, varied.results, varied.methods), claim.sense, claim.by_clip)
+    samples = varied.methods[basis.problems[0]]
+    assert isinstance(samples, SampleMethod)
+    found = samples.found(basis.drawn)
+    return None if found is None else floored(found, claim.sense, claim.by_clip)
 
 
 def _varied(
@@ -108,11 +131,10 @@ def _varied(
         changed = _with_constant(account.plan, constant, factor)
         if changed is None:
             continue
-        tests = account.closed
         # A kernel can be out of the range of the mathematics with another constant; then it gives no bound.
         try:
-            fresh = kernel_method(changed, disturbed(changed, header))
-            again = fresh.bound_after(tests)
+            fresh = method(changed, header)
+            again = _bound_again(fresh, account)
         except ValueError:
             continue
         if again.upper is None or again.verdict == "refuted":
@@ -122,13 +144,20 @@ def _varied(
     return Varied(found, methods)
 
 
+def _bound_again(fresh: ProblemMethod, account: Account) -> Bound:
+    if isinstance(fresh, PaperMethod | RigorousMethod | KrigingMethod):
+        return fresh.bound_after(account.closed)
+    # The starts of other methods are not kept: their numbers are enough.
+    return fresh.observe_each(np.array(account.nodes), np.array(account.observations), np.array(account.each[:]))
+
+
 def _with_constant(plan: ProblemPlan, constant: Constant, factor: float) -> ProblemPlan | None:
-    """Return a plan with one constant multiplied, or without a control; None for a problem without a kernel."""
+    """Return a plan with one constant multiplied, None for a problem without a kernel; or without a control."""
     problem = plan.problem
-    if not isinstance(problem, KernelProblem):
-        return None
     if constant == "control":
         return replace(plan, controlled=False)
+    if not isinstance(problem, KernelProblem):
+        return None
     if constant == "rkhs_norm":
         return replace(plan, problem=problem.model_copy(update={"rkhs_norm": factor * problem.rkhs_norm}))
     kernel = problem.kernel.scaled(factor)

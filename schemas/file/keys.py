@@ -208,7 +208,8 @@ class CampaignKeys(CampaignSize):
     control: Literal["on", "off"] = Field(
         default="on",
         exclude_if=lambda control: control == "on",
-        description="of method `kriging`: whether the bound takes out what declared disturbances explain of rollouts",
+        description="whether bounds of means take out what declared disturbances explain of rollouts: those of method "
+        "`kriging` and `scenario`, and of `sample` all but failures, quantiles and the next rollout",
     )
     space: Space = Field(description="D, all starting conditions")
     where: str | None = Field(

@@ -28,6 +28,7 @@ from itertools import groupby
 import numpy as np
 
 from ....schemas.values import Band, Bound, Observation, Proposal, SampledQuantity
+from ..control.sequence import Control, Disturbed
 from ..gp.kernels import Floats
 from .method import Integers, Method
 from .one_law.failures import FailureSequence, QuantileSequence
@@ -64,6 +65,8 @@ class Terms:
     """Whether the robustness follows from the start alone."""
     place: int = 0
     """Of the requirement that it is about, from 1; 0 for the whole specification."""
+    disturbed: Disturbed | None = None
+    """The disturbances of the rollouts, for a control; None without one."""
 
 
 class Estimate(ABC):
@@ -72,6 +75,11 @@ class Estimate(ABC):
     better_when_fixed = True
     """Whether a number of samples that was fixed beforehand has a bound of its own."""
 
+    @property
+    def control(self) -> tuple[Control, int] | None:
+        """The last control, with the samples before its first fit; None where there is none."""
+        return None
+
     def add(self, values: Sequence[float]) -> None:
         """Add the robustness of the rollouts of the next start."""
         self.add_each(np.array([values], dtype=np.float64))
@@ -79,6 +87,10 @@ class Estimate(ABC):
     @abstractmethod
     def add_each(self, values: Floats) -> None:
         """Add the robustness of the rollouts of the next k starts (k, b), in their order."""
+
+    def add_disturbed(self, values: Floats, scores: Floats) -> None:  # noqa: ARG002
+        """Add those of the next starts, with the scores of their disturbances (k, b, m)."""
+        self.add_each(values)
 
     @abstractmethod
     def anytime(self) -> float | None:
@@ -200,12 +212,23 @@ class MeanEstimate(Estimate):
 
     better_when_fixed = False
 
-    def __init__(self, sequence: PredictableSequence, read: Callable[[Floats], Floats]) -> None:
-        self._sequence, self._read = sequence, read
+    def __init__(
+        self, sequence: PredictableSequence, read: Callable[[Floats], Floats], *, of_means: bool = False
+    ) -> None:
+        self._sequence, self._read, self._of_means = sequence, read, of_means
+
+    @property
+    def control(self) -> tuple[Control, int] | None:
+        """The last control, with the samples before its first fit; None where there is none."""
+        return self._sequence.control
 
     def add_each(self, values: Floats) -> None:
         """Add the next values."""
         self._sequence.add_each(self._read(values))
+
+    def add_disturbed(self, values: Floats, scores: Floats) -> None:
+        """Add the next values, with the disturbances of the rollouts that are read."""
+        self._sequence.add_each(self._read(values), scores if self._of_means else scores[:, 0])
 
     def anytime(self) -> float | None:
         """Return the bound; that of no evidence is what the clip proves."""
@@ -234,25 +257,28 @@ def _average(terms: Terms) -> Callable[[Floats], Floats]:
 
 
 def _cvar(terms: Terms) -> Estimate:
-    share = shifted_share(terms.ratio, terms.level)
-    return MeanEstimate(CvarSequence(share, _clip_of(terms), delta=terms.delta), _first)
+    return MeanEstimate(_worst(terms, terms.level), _first)
 
 
 def _of_means(terms: Terms) -> Estimate:
-    share = shifted_share(terms.ratio)
-    return MeanEstimate(CvarSequence(share, _clip_of(terms), delta=terms.delta), _average(terms))
+    return MeanEstimate(_worst(terms), _average(terms), of_means=True)
 
 
 def _risk(terms: Terms) -> Estimate:
-    return MeanEstimate(RiskSequence(terms.risk_weight, _clip_of(terms), delta=terms.delta), _first)
+    clip = _clip_of(terms)
+    return MeanEstimate(RiskSequence(terms.risk_weight, clip, delta=terms.delta, disturbed=terms.disturbed), _first)
 
 
 def _share_of_starts(terms: Terms) -> Estimate:
     # Of a value that its start decides, a quantile says it of the value itself.
     if terms.deterministic:
         return QuantileEstimate(terms)
-    share = shifted_share(terms.ratio, terms.level)
-    return MeanEstimate(CvarSequence(share, _clip_of(terms), delta=terms.delta), _average(terms))
+    return MeanEstimate(_worst(terms, terms.level), _average(terms), of_means=True)
+
+
+def _worst(terms: Terms, share: float = 1.0) -> CvarSequence:
+    worst = shifted_share(terms.ratio, share)
+    return CvarSequence(worst, _clip_of(terms), delta=terms.delta, disturbed=terms.disturbed)
 
 
 def _clip_of(terms: Terms) -> tuple[float, float]:
@@ -271,6 +297,8 @@ ESTIMATES: Mapping[SampledQuantity, Callable[[Terms], Estimate]] = {
     "next_rollout": NextEstimate,
 }
 """The estimate of each quantity."""
+CONTROLLED: frozenset[SampledQuantity] = frozenset({"cvar", "mean", "risk", "share_of_starts"})
+"""Quantities with a bound by bets on means. Counts of failures and ranks have no mean that a control could keep."""
 
 
 class SampleMethod(Method):
@@ -280,7 +308,7 @@ class SampleMethod(Method):
     An observation has the replicates of the whole specification, then those of each requirement.
     `start` returns the start with a number (p,). `fixed` is the number of samples at which exact bounds are claimed,
     fixed beforehand; None where the end depends on outcomes. `largest` says whether the first claim bounds its quantity
-    from above; the bound of J is then that bound, and else its negative.
+    from above; the bound of J is then that bound, and else its negative. All claims have the same disturbances.
 
     Raises:
         ValueError: a claim has no bound with these terms.
@@ -306,6 +334,7 @@ class SampleMethod(Method):
         self._parts = 1 + max(each.place for each in claims)
         self._range = self._claims[0].clip or (-math.inf, math.inf)
         self._start, self._fixed, self._largest = start, fixed, largest
+        self._disturbed = self._claims[0].disturbed
         self._count = 0
 
     @property
@@ -317,6 +346,11 @@ class SampleMethod(Method):
     def probability(self) -> float:
         """1 - delta of the first claim."""
         return 1.0 - self._claims[0].delta
+
+    @property
+    def control(self) -> tuple[Control, int] | None:
+        """The control of the first claim that has one, with the samples before its first fit."""
+        return next((each.control for each in self._estimates if each.control is not None), None)
 
     @property
     def is_exact(self) -> bool:
@@ -397,6 +431,9 @@ class SampleMethod(Method):
         # Before the first bet: half a sample would change the state.
         if not values or not all(low <= value <= high for value in values):
             raise self._error(values)
+        if self._disturbed is not None:
+            self._add_each(np.array([values]))
+            return
         width = len(values) // self._parts
         for terms, estimate in zip(self._claims, self._estimates, strict=True):
             estimate.add(values[terms.place * width : (terms.place + 1) * width])
@@ -409,8 +446,15 @@ class SampleMethod(Method):
         if not each.shape[1] or not are_within(each, low, high):
             raise self._error(each[~((each >= low) & (each <= high)).all(axis=1)][:1].ravel().tolist())
         width = each.shape[1] // self._parts
+        scores = None
+        if self._disturbed is not None:
+            scores = np.stack([self._disturbed.scores(self._count + k) for k in range(len(each))])
         for terms, estimate in zip(self._claims, self._estimates, strict=True):
-            estimate.add_each(each[:, terms.place * width : (terms.place + 1) * width])
+            values = each[:, terms.place * width : (terms.place + 1) * width]
+            if scores is None:
+                estimate.add_each(values)
+            else:
+                estimate.add_disturbed(values, scores)
         self._count += len(each)
 
     def _error(self, values: Sequence[float]) -> ValueError:

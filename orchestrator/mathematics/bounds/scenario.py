@@ -35,7 +35,7 @@ Stop when upper - ell <= alpha. `ell` is valid at every stopping time, so the st
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
 from itertools import groupby
@@ -44,6 +44,8 @@ from typing import Literal, get_args
 import numpy as np
 
 from ....schemas.values import Band, Bound, Observation, Proposal, Verdict
+from ..control.one_law import LawControl
+from ..control.sequence import Control, Disturbed
 from ..gp.acquisition import rival_node
 from ..gp.kernels import Floats
 from ..gp.lattice import check_index
@@ -105,7 +107,7 @@ class ScenarioMethod(Method):
     Implements eq. (scenario) of [PB].
 
     A test is a batch of rollouts of one scenario. `constants` are (c, s) and belong to `linearised`; `mean` bounds
-    E rho and has no use for `risk_weight`.
+    E rho and has no use for `risk_weight`. With `disturbed` rollouts each scenario has a control.
 
     Raises:
         ValueError: a parameter is outside its range, constants are missing or too many, or there are more than
@@ -134,6 +136,7 @@ class ScenarioMethod(Method):
         alpha: float,
         risk: Risk = "linearised",
         constants: tuple[float, float] | None = None,
+        disturbed: Disturbed | None = None,
     ) -> None:
         if not (0.0 < delta < 1.0 and math.isfinite(alpha) and alpha > 0):
             raise ValueError(f"delta must be in (0, 1) and alpha be positive, not {delta!r} and {alpha!r}")
@@ -148,10 +151,14 @@ class ScenarioMethod(Method):
         self._reading = RiskReading(clip, 0.0 if of_mean else risk_weight, constants)
         # Level 0 serves ell, level 1 the claim about one scenario that is valid together with those about all others.
         levels = (delta, delta / scenarios.size)
+        # Of several scenarios the worst has half of the rollouts, or more.
+        half = min(scenarios.size, 2)
+        law = None if disturbed is None else replace(disturbed, planned=disturbed.planned // half)
+        self._disturbed = disturbed
         self._scenarios: list[_Scenario] = [
-            _PredictableScenario(levels, self._reading, risk_weight)
+            _PredictableScenario(levels, self._reading, law, risk_weight)
             if risk == "predictable"
-            else _ConstantScenario(levels, self._reading)
+            else _ConstantScenario(levels, self._reading, law)
             for _ in range(scenarios.size)
         ]
         # On the largest mean of 1 - x, all scenarios together.
@@ -161,6 +168,11 @@ class ScenarioMethod(Method):
     def n(self) -> int:
         """Number of tests observed."""
         return sum(scenario.tests for scenario in self._scenarios)
+
+    @property
+    def control(self) -> tuple[Control, int] | None:
+        """The control of the worst scenario, with the rollouts before its first fit; None where there is none."""
+        return self._scenarios[self.bound().worst].control
 
     @property
     def size(self) -> int:
@@ -290,11 +302,24 @@ class ScenarioMethod(Method):
         if not values.shape[1] or not are_within(values, low, high):
             wrong = values[~((values >= low) & (values <= high)).all(axis=1)][:1].ravel().tolist()
             raise ValueError(f"a test needs values within the clip [{low}, {high}], not {wrong}")
+        if self._disturbed is not None:
+            # Each test may change the control of the next one.
+            for number, (node, row) in enumerate(zip(nodes, values, strict=True), self.n):
+                scores, scenario = self._disturbed.scores(number), self._scenarios[node]
+                self._bet(node[None], row[None], scores)
+                if scenario.learn(row, scores):
+                    # What is least of 1 - x + g at any scenario: each may have the next test.
+                    least, most = zip(*(each.reach for each in self._scenarios), strict=True)
+                    self._upper.reach(min(least), 1.0 + max(most))
+            return
         for first in range(0, len(nodes), PIECE):
             self._bet(nodes[first : first + PIECE], values[first : first + PIECE])
 
-    def _bet(self, nodes: Integers, values: Floats) -> None:
+    def _bet(self, nodes: Integers, values: Floats, scores: Floats | None = None) -> None:
+        """Bet on the values of tests (k, b); of one test alone there may be scores (b, m)."""
         x = units(values.ravel(), self._reading).reshape(values.shape)
+        if scores is not None:
+            x -= self._scenarios[nodes[0]].explained(scores)
         complement = 1.0 - x
         visited, past = sorted(set(nodes.tolist())), np.empty((*values.shape, 3))
         places = [np.flatnonzero(nodes == index) if len(visited) > 1 else slice(None) for index in visited]
@@ -304,7 +329,7 @@ class ScenarioMethod(Method):
             past[tests] = found.reshape(-1, values.shape[1], 3)
         self._upper.observe_each(complement.ravel(), past.reshape(-1, 3))
         for index, tests in zip(visited, places, strict=True):
-            self._scenarios[index].observe(values[tests], x[tests])
+            self._scenarios[index].observe(values[tests], x[tests], scores)
 
 
 def _in_flight(pending: Sequence[int], size: int) -> list[int]:
@@ -317,7 +342,10 @@ def _in_flight(pending: Sequence[int], size: int) -> list[int]:
 
 
 class _Scenario(ABC):
-    """The rollouts of one scenario, the bets on them, and the bounds that follow; begun by the bets of a subclass."""
+    """The rollouts of one scenario, the bets on them, and the bounds that follow; begun by the bets of a subclass.
+
+    With a control everything is about x less what it explains, but for the values that it learns from.
+    """
 
     def __init__(self, reading: RiskReading) -> None:
         self._reading = reading
@@ -325,9 +353,27 @@ class _Scenario(ABC):
         self.tests = 0
         self.state = self._state()
 
-    def observe(self, values: Floats, x: Floats) -> None:
-        """Bet on the values (k, b) of k tests, which are x in [0, 1]."""
-        self._bet(values.ravel(), x.ravel())
+    @property
+    def control(self) -> tuple[Control, int] | None:
+        """The last control, with the rollouts before its first fit; None where there is none."""
+        return None
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """The least and the largest that is explained of x."""
+        return 0.0, 0.0
+
+    def explained(self, scores: Floats) -> Floats:
+        """Return what the control explains of x for the scores of rollouts (b, k)."""
+        return np.zeros(len(scores))
+
+    def learn(self, values: Floats, scores: Floats) -> bool:  # noqa: ARG002
+        """Give the control the values of a test (b,), and return whether it explains the next ones otherwise."""
+        return False
+
+    def observe(self, values: Floats, x: Floats, scores: Floats | None = None) -> None:
+        """Bet on the values (k, b) of k tests, which are x in [0, 1]; scores (b, k) are those of one test."""
+        self._bet(values.ravel(), x.ravel(), scores)
         self.tests += len(values)
         self.state = self._state()
 
@@ -347,7 +393,7 @@ class _Scenario(ABC):
         return mean - (mean - lower) * (self.tests / (self.tests + flying)) if flying else lower
 
     @abstractmethod
-    def _bet(self, values: Floats, x: Floats) -> None:
+    def _bet(self, values: Floats, x: Floats, scores: Floats | None) -> None:
         """Bet on values, which are x in [0, 1]."""
 
     @abstractmethod
@@ -373,12 +419,55 @@ class _ConstantScenario(_Scenario):
         """The values of X that 0 and 1 stand for."""
         return self._reading.ends
 
-    def __init__(self, levels: tuple[float, float], reading: RiskReading) -> None:
+    def __init__(self, levels: tuple[float, float], reading: RiskReading, law: Disturbed | None) -> None:
         self._sequence = BettingSequence(levels)
         self._past = Past(imaginary=1)  # of x
+        self._law = None if law is None else LawControl(law, (0.0, 1.0), levels[0])
+        self._first: list[tuple[Floats, Floats]] = []
+        """Scores and x before the first fit."""
         super().__init__(reading)
 
-    def _bet(self, values: Floats, x: Floats) -> None:  # noqa: ARG002
+    @property
+    def reach(self) -> tuple[float, float]:
+        """The least and the largest of what is explained of x."""
+        return (0.0, 0.0) if self._law is None else (self._law.least, self._law.most)
+
+    @property
+    def control(self) -> tuple[Control, int] | None:
+        """The last control, in the unit of X, with the rollouts before its first fit."""
+        if self._law is None or self._law.control is None:
+            return None
+        low, high = self._reading.ends
+        return self._law.control.times(high - low), self._law.before_fit
+
+    def explained(self, scores: Floats) -> Floats:
+        """Return what the control explains of x."""
+        assert self._law is not None
+        return self._law.g(scores)
+
+    def learn(self, values: Floats, scores: Floats) -> bool:
+        """Give the control the values of a test, and return whether it explains the next ones otherwise."""
+        assert self._law is not None
+        x, begins = units(values, self._reading), not self._law.has_begun
+        if begins:
+            self._first.append((x, scores))
+        if not self._law.add(scores, x, lambda: max(self._past.mean, 1.0 / GRID)):
+            return False
+        if begins:
+            self._read_again()
+        self._sequence.reach(-self._law.most, 1.0 - self._law.least)
+        return True
+
+    def _read_again(self) -> None:
+        """Take the moments of all values so far with the first control."""
+        self._past, self.complement = Past(imaginary=1), Past()
+        for x, scores in self._first:
+            for value in (x - self.explained(scores)).tolist():
+                self._past.add(value)
+                self.complement.add(1.0 - value)
+        self._first.clear()
+
+    def _bet(self, values: Floats, x: Floats, scores: Floats | None) -> None:  # noqa: ARG002
         self._sequence.observe_each(x, self._past.before(x.tolist()))
 
     def _outlook(self) -> tuple[float, float]:
@@ -403,13 +492,20 @@ def _upper(reading: RiskReading, rejected: int) -> float:
 class _PredictableScenario(_Scenario):
     """Bets with c and s from the earlier rollouts of the scenario; x is the robustness, for `upper`."""
 
-    def __init__(self, levels: tuple[float, float], reading: RiskReading, risk_weight: float) -> None:
-        self._risks = [RiskSequence(risk_weight, reading.clip, delta=level) for level in levels]
+    def __init__(
+        self, levels: tuple[float, float], reading: RiskReading, law: Disturbed | None, risk_weight: float
+    ) -> None:
+        self._risks = [RiskSequence(risk_weight, reading.clip, delta=level, disturbed=law) for level in levels]
         super().__init__(reading)
 
-    def _bet(self, values: Floats, x: Floats) -> None:  # noqa: ARG002
+    @property
+    def control(self) -> tuple[Control, int] | None:
+        """The last control, with the rollouts before its first fit."""
+        return self._risks[0].control
+
+    def _bet(self, values: Floats, x: Floats, scores: Floats | None) -> None:  # noqa: ARG002
         for risk in self._risks:
-            risk.add_each(values)
+            risk.add_each(values, scores)
 
     def _outlook(self) -> tuple[float, float]:
         """Return lower bound and estimate of the risk, unit of robustness."""

@@ -107,9 +107,8 @@ class CalibrationRollouts:
         return calibration_seed(digest, self._seed, place, variant, self._system.spec)
 
     def scores(self, wanted: Sequence[StartRollout]) -> Floats:
-        """Return the scores of the disturbances of rollouts (n, w), of a system that declares some."""
-        assert self._template.laws is not None, "only a controlled problem is asked for scores"
-        return self._template.laws.scores([self._seed_of(each, self._variants[0]) for each in wanted])
+        """Return the scores of the disturbances of rollouts that are drawn (n, w), of a system that has some."""
+        return self._template.scores([self._seed_of(each, self._variants[0]) for each in wanted])
 
     def _run(self, batch: RolloutBatch) -> None:
         ended, done = threading.Event(), [0] * len(batch.parts)

@@ -20,6 +20,7 @@ LARGE_MODULES: dict[str, str] = {}
 
 LARGE_CLASSES: dict[str, str] = {}
 MANY_PARAMETERS: dict[str, str] = {
+    "orchestrator/mathematics/bounds/scenario.py:__init__": "keywords that say what is claimed of the rollouts",
     "workers/systems/decorator.py:system": "the public decorator: keywords, of which most have a default",
 }
 

@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ...control.sequence import Control, ControlSequence, Disturbed, first_fit
+from ...control.sequence import EXPECTED, SLACK, Control, ControlSequence, Disturbed, first_fit
 from ...gp.kernels import Floats
 from ...gp.lattice import Lattice
 from ...gp.radial import Radial
@@ -23,10 +23,6 @@ from .bound import GuessedMean, KrigingBounds, KrigingPremises
 from .cells import NodeCells, between
 from .weights import WeightTerms, plan_weights
 
-SLACK = 1e-12
-"""Of a range, by which the sums of a control may be rounded."""
-EXPECTED = 0.6
-"""Of the noise that the first fit leaves, what later ones leave; 1.2 lost 0.004 of the bound of 1,000 rollouts."""
 CHANCE = 1.1
 """Noise makes a bound, the least of many, lower than expected: by about a tenth of what it is expected to lose."""
 

@@ -20,6 +20,9 @@ mu <= m: probability <= delta. Hence mu >= L for all n at once, whatever the bet
 monotony of W in m is needed, no union over the grid, no n fixed beforehand, and rounding is always to the safe side.
 Values may come in batches, with delays, in numbers that depend on outcomes (Ville holds at every stopping time); only
 x_i must have its mean given everything that entered before it. An upper bound is 1 - the lower bound of 1 - x.
+
+With a control x_i is less g_i, whose mean given the past is 0: it is in [-max g_i, 1 - min g_i], and a bet is at most
+c_j/(m + max g_i).
 """
 
 import math
@@ -119,7 +122,12 @@ class BettingSequence:
             raise ValueError("the shares of the strategies must sum to 1")
         thresholds = [(1.0 + ROUND_OFF) / delta for delta in deltas]
         self._bets = Wealth(_candidate_means(), strategies, thresholds)
-        self._bets.limit(_candidate_means())
+        self.reach(0.0, 1.0)
+
+    def reach(self, least: float, most: float) -> None:
+        """Set what the next values are at least and at most, as a function of those before; their mean is in [0, 1]."""
+        self._ends = least, most
+        self._bets.limit(_candidate_means() - least)
 
     def rejected(self, level: int = 0) -> int:
         """Return the largest g such that candidates 1 .. g are rejected at `deltas[level]`."""
@@ -148,11 +156,11 @@ class BettingSequence:
         """Add values (k,) in their order; `past` has the moments of those before each of them.
 
         Raises:
-            ValueError: a value is outside [0, 1]; nothing changes.
+            ValueError: a value is outside [0, 1], or what `reach` has set; nothing changes.
 
         """
-        if not are_within(x, 0.0, 1.0):
-            raise ValueError(f"a value must be in [0, 1], not {x.tolist()!r}")
+        if not are_within(x, *self._ends):
+            raise ValueError(f"a value must be in {list(self._ends)}, not {x.tolist()!r}")
         self._bets.play(x, past)
 
 

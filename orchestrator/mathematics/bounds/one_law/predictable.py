@@ -32,6 +32,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from ...control.one_law import LawControl
+from ...control.sequence import Control, Disturbed
 from ...gp.kernels import Floats
 from ..rounding import ROUND_OFF, round_down
 from .betting import BOLD_AND_CAREFUL
@@ -51,14 +53,24 @@ class PredictableSequence(ABC):
     """Lower bound of theta, valid for all n at once; the running maximum.
 
     `least` is a value that theta is never below. Work per value is O(G), and only on candidates between the bound and
-    the mean aimed at; a value takes 8 bytes.
+    the mean aimed at; a value takes 8 bytes. With disturbances, x less what a control explains of it takes the place of
+    x; `farthest` is how far below the range the control is fitted to x, and a value takes 24 bytes.
 
     Raises:
         ValueError: the range is empty or infinite, or delta is outside (0, 1).
 
     """
 
-    def __init__(self, least: float, clip: tuple[float, float], delta: float, strategies: Sequence[Strategy]) -> None:
+    def __init__(
+        self,
+        least: float,
+        clip: tuple[float, float],
+        delta: float,
+        strategies: Sequence[Strategy],
+        *,
+        disturbed: Disturbed | None = None,
+        farthest: float = 1.0,
+    ) -> None:
         if not 0.0 < delta < 1.0:
             raise ValueError(f"delta must be in (0, 1), not {delta!r}")
         self._low, self._high = check_clip(clip)
@@ -68,6 +80,18 @@ class PredictableSequence(ABC):
         self._sorted, self._fresh = np.empty(0), array("d")  # values up to the last renewal, and those since
         self._renewal, self._reported = 1.0, (0, least)  # the bound, for the rejected candidates that it follows from
         self._weight = self._mean = self._squares = 0.0  # moments of x at the current parameters
+        self._law = None
+        if disturbed is not None:
+            self._law = LawControl(disturbed, (self._high - farthest * (self._high - self._low), self._high), delta)
+        self._ordered, self._explained = array("d"), array("d")  # values in their order, and what is taken from each
+        self._first: list[Floats] = []  # the scores of those before the first fit
+
+    @property
+    def control(self) -> tuple[Control, int] | None:
+        """The last control, with the values before its first fit; None where there is none."""
+        if self._law is None or self._law.control is None:
+            return None
+        return self._law.control, self._law.before_fit
 
     @property
     def count(self) -> int:
@@ -92,8 +116,8 @@ class PredictableSequence(ABC):
         """Add the next value; raises as `add_each`."""
         self.add_each(np.array([value], dtype=np.float64))
 
-    def add_each(self, values: Floats) -> None:
-        """Add the next values (k,) in their order.
+    def add_each(self, values: Floats, scores: Floats | None = None) -> None:
+        """Add the next values (k,) in their order; with disturbances also the scores of their rollouts.
 
         Raises:
             ValueError: one is outside the range; nothing changes.
@@ -105,13 +129,36 @@ class PredictableSequence(ABC):
         while len(values):
             # Up to the renewal the parameters are the same.
             ahead = values[: max(math.ceil(self._renewal) - self.count, 1)]
-            x = self._read(ahead)
-            self._bets.play(x, self._before(x))
+            is_new = False
+            if self._law is None or scores is None:
+                x = self._read(ahead)
+                self._bets.play(x, self._before(x))
+            else:
+                ahead = ahead[: self._law.ahead]
+                is_new, scores = self._play_less(self._law, ahead, scores[: len(ahead)]), scores[len(ahead) :]
             self._fresh.frombytes(ahead.tobytes())
             if self.count >= self._renewal:
                 self._renewal = RENEWAL * self.count
                 self._begin_anew()
+            elif is_new:
+                self._take_less()
+                self._limit()
             values = values[len(ahead) :]
+
+    def _play_less(self, law: LawControl, values: Floats, scores: Floats) -> bool:
+        """Bet on x less what the control explains of it, and return whether it explains the next values otherwise."""
+        x, g = self._read(values), law.g(scores)
+        self._bets.play(x - g, self._before(x - g))
+        self._ordered.frombytes(values.tobytes())
+        self._explained.frombytes(g.tobytes())
+        begins = not law.has_begun
+        if begins:
+            self._first.append(scores)
+        is_new = law.add(scores, x, lambda: max(self._mean - self._least_x(), 1e-9 * (self._high - self._low)))
+        if begins and is_new:
+            self._explained = array("d", np.concatenate([law.g(each) for each in self._first]).tobytes())
+            self._first.clear()
+        return is_new
 
     @abstractmethod
     def _read(self, values: Floats) -> Floats:
@@ -130,8 +177,20 @@ class PredictableSequence(ABC):
         self._sorted = np.sort(np.concatenate([self._sorted, self._fresh]), kind="stable")
         self._fresh = array("d")
         self._renew()
+        if self.control is not None:
+            self._take_less()
+        self._limit()
+
+    def _limit(self) -> None:
         # Every factor of the wealth stays at least 1 - cap > 0, also for the least x that these parameters allow.
-        self._bets.limit(np.maximum(self._bets.candidates - self._least_x(), 1e-9 * (self._high - self._low)))
+        least = self._least_x() - (self._law.most if self._law else 0.0)
+        self._bets.limit(np.maximum(self._bets.candidates - least, 1e-9 * (self._high - self._low)))
+
+    def _take_less(self) -> None:
+        """Compute the moments of all values, less what was explained of them."""
+        x = self._read(np.array(self._ordered)) - np.array(self._explained)
+        self._weight, self._mean = float(len(x)), exact_sum(x) / len(x)
+        self._squares = exact_sum(squares(x - self._mean))
 
     def _before(self, x: Floats) -> Moments:
         """Add x (k,) to the moments, and return those before each of them."""
@@ -219,11 +278,17 @@ class CvarSequence(PredictableSequence):
     """
 
     def __init__(
-        self, share: float, clip: tuple[float, float], *, delta: float, choice: Choice = best_expected
+        self,
+        share: float,
+        clip: tuple[float, float],
+        *,
+        delta: float,
+        choice: Choice = best_expected,
+        disturbed: Disturbed | None = None,
     ) -> None:
         if not 0.0 < share <= 1.0:
             raise ValueError(f"share must be in (0, 1], not {share!r}")
-        super().__init__(clip[0], clip, delta, STRATEGIES)
+        super().__init__(clip[0], clip, delta, STRATEGIES, disturbed=disturbed, farthest=1.0 / share)
         self._share, self._bar, self._choice, self._delta = share, clip[0], choice, delta
 
     def _read(self, values: Floats) -> Floats:
@@ -269,8 +334,12 @@ class RiskSequence(PredictableSequence):
 
     """
 
-    def __init__(self, risk_weight: float, clip: tuple[float, float], *, delta: float) -> None:
-        super().__init__(RiskReading(clip, risk_weight, None).least, clip, delta, BOLD_AND_CAREFUL)
+    def __init__(
+        self, risk_weight: float, clip: tuple[float, float], *, delta: float, disturbed: Disturbed | None = None
+    ) -> None:
+        super().__init__(
+            RiskReading(clip, risk_weight, None).least, clip, delta, BOLD_AND_CAREFUL, disturbed=disturbed, farthest=2.0
+        )
         self._risk_weight, self._cost = risk_weight, math.log(1.0 / delta)
         self._centre, self._spread = 0.5 * (clip[0] + clip[1]), 0.5 * (clip[1] - clip[0])
 
