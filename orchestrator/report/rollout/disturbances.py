@@ -1,0 +1,45 @@
+"""The disturbances of recorded rollouts, with how far out each value is under its law."""
+
+from collections.abc import Iterator, Sequence
+
+from ....schemas.result.facts import Header
+from ..data.rollouts import DrawnValue
+
+MOST = 4
+"""Disturbances of a rollout that are shown, those furthest out."""
+
+
+def drawn_values(header: Header, variant: str, seeds: Sequence[int], most: int = MOST) -> list[tuple[DrawnValue, ...]]:
+    """Return the disturbances of rollouts with these seeds, the furthest out first; none of a variant without noise."""
+    laws = header.template.laws
+    if laws is None or variant not in header.spec.noisy or not seeds:
+        return [()] * len(seeds)
+    rows = zip(laws.values(seeds).tolist(), laws.scores(seeds).tolist(), strict=True)
+    return [tuple(_furthest(header, *row)[:most]) for row in rows]
+
+
+def words(header: Header, variant: str, seed: int) -> Iterator[str]:
+    """Yield the disturbances of one rollout in words, as many as are shown, the furthest out first."""
+    (found,) = drawn_values(header, variant, [seed])
+    for each in found:
+        law = header.spec.disturbances[each.place]
+        value = f"{law.name} = {each.value:.4g} {law.unit}".removesuffix(" 1").rstrip()
+        yield f"{value} ({_far(each)})"
+
+
+def _far(drawn: DrawnValue) -> str:
+    return f"probability {drawn.chance:.3g}" if drawn.sd is None else f"{drawn.sd:+.1f} sd"
+
+
+def _furthest(header: Header, values: Sequence[float], scores: Sequence[float]) -> list[DrawnValue]:
+    from scipy.special import ndtri  # noqa: PLC0415  (a tenth of a second that few commands need)
+
+    found = []
+    for place, (law, value, score) in enumerate(zip(header.spec.disturbances, values, scores, strict=True)):
+        if law.choices is None:
+            found.append((-abs(score), DrawnValue(place, value, score, None)))
+        else:
+            chance = law.shares[int(score)]
+            # As rare as this on both sides of a normal law.
+            found.append((float(ndtri(chance / 2.0)), DrawnValue(place, value, None, chance)))
+    return [each for _, each in sorted(found, key=lambda pair: pair[0])]
