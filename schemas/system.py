@@ -171,8 +171,10 @@ class SystemSpec(Model, metaclass=Written):
             raise ValueError("residual: false is for a system with disturbances; without any, let no variant be noisy")
         taken = {*(each.name for each in self.parameters), *(each.name for each in self.options)}
         for name in [each.name for each in self.disturbances]:
-            if not name or name in taken:
-                what = f"{name} is that of a parameter, an option or another disturbance" if name else "one has none"
+            if not name:
+                raise ValueError('disturbances: one has no name; write Normal(0, 1).named("gust", "m/s")')
+            if name in taken:
+                what = f"{name} is that of a parameter, an option or another disturbance"
                 raise ValueError(f"disturbances: every one needs a name of its own; {what}")
             taken.add(name)
         return self

@@ -12,7 +12,8 @@ def control_sentence(claim: CertificateClaim, without: float | None, problems: I
     """Return the gain over the bound `without` a control, and what the disturbances explain of a rollout."""
     controls = {each.key: each.control for each in problems if each.control is not None}
     if not controls:
-        return "The declared disturbances explain too little of a rollout for a control to pay."
+        # With few rollouts the range costs more than the noise.
+        return "No control by the declared disturbances: they explain too little, or it would widen the range too much."
     names = {each.name for control in controls.values() for each in control.disturbances}
     alone = len(names) == 1
     subject = f"The disturbance {min(names)}" if alone else "The declared disturbances"

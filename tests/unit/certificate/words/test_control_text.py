@@ -48,7 +48,8 @@ THREE = {"gust": 0.1, "mass": 0.09, "load": 0.09}
                          "without a control the same tests prove nothing."),
         ({}, -0.06, GUST, "The disturbance gust explains 97.6 % of the variance of a rollout; without a control the "
                           "same tests prove nothing."),
-        ({}, 0.5, {}, "The declared disturbances explain too little of a rollout for a control to pay."),
+        ({}, 0.5, {}, "No control by the declared disturbances: they explain too little, or it would widen the range "
+                      "too much."),
     ],
 )  # fmt: skip
 def test_the_sentence_on_a_control(
