@@ -1,6 +1,6 @@
 """The disturbances of recorded rollouts, with how far out each value is under its law."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 from ....schemas.result.facts import Header
 from ..data.rollouts import DrawnValue
@@ -18,17 +18,25 @@ def drawn_values(header: Header, variant: str, seeds: Sequence[int], most: int =
     return [tuple(_furthest(header, *row)[:most]) for row in rows]
 
 
-def words(header: Header, variant: str, seed: int) -> Iterator[str]:
-    """Yield the disturbances of one rollout in words, as many as are shown, the furthest out first."""
-    (found,) = drawn_values(header, variant, [seed])
-    for each in found:
+def words(header: Header, variant: str, seed: int) -> str:
+    """Return the disturbances of one rollout in words; empty where there are none."""
+    found = each_in_words(header, variant, seed)
+    more = len(header.spec.disturbances) - len(found)
+    return ", ".join(found) + (f", and {more:,} more" if found and more else "")
+
+
+def each_in_words(header: Header, variant: str, seed: int, most: int = MOST) -> list[str]:
+    """Return the disturbances of one rollout, the furthest out first, such as "gust = 5.8 m/s (2.9 sd)"."""
+    texts = []
+    for each in drawn_values(header, variant, [seed], most)[0]:
         law = header.spec.disturbances[each.place]
-        value = f"{law.name} = {each.value:.4g} {law.unit}".removesuffix(" 1").rstrip()
-        yield f"{value} ({_far(each)})"
+        value = f"{law.name} = {each.value:.3g} {law.unit}".removesuffix(" 1").rstrip()
+        texts.append(f"{value} ({_far(each)})")
+    return texts
 
 
 def _far(drawn: DrawnValue) -> str:
-    return f"probability {drawn.chance:.3g}" if drawn.sd is None else f"{drawn.sd:+.1f} sd"
+    return f"probability {drawn.chance:.3g}" if drawn.sd is None else f"{drawn.sd:.1f} sd"
 
 
 def _furthest(header: Header, values: Sequence[float], scores: Sequence[float]) -> list[DrawnValue]:

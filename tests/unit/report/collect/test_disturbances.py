@@ -149,9 +149,13 @@ def test_the_furthest_out_come_first_and_a_rare_choice_is_far_out() -> None:
     for found in disturbances.drawn_values(HEADER, "nominal", seeds):
         far = [{0.75: 0.3186, 0.25: 1.1503}[each.chance or 0] if each.sd is None else abs(each.sd) for each in found]
         assert far == sorted(far, reverse=True)
-    text = ", ".join(disturbances.words(HEADER, "nominal", seeds[0]))
+    text = disturbances.words(HEADER, "nominal", seeds[0])
     assert "gust = " in text
     assert " m/s (" in text
     assert " sd)" in text
     assert "(probability 0.75)" in text
+    assert "more" not in text
+    assert disturbances.words(HEADER, "true", seeds[0]) == ""
+    many = replace(HEADER, spec=SPEC.model_copy(update={"disturbances": LAWS + LAWS}))
+    assert disturbances.words(many, "nominal", seeds[0]).endswith("), and 2 more")
     assert all(len(each) == 1 for each in disturbances.drawn_values(HEADER, "nominal", seeds[:3], most=1))
