@@ -90,8 +90,7 @@ class RequestTemplate:
     def scores(self, seeds: Sequence[int]) -> "Floats":
         """Return the scores of the disturbances that are drawn (R, k), of a system that has some."""
         assert self.laws is not None, "a system without disturbances has no scores"
-        drawn = [place for place, law in enumerate(self.spec.disturbances) if law.name not in self.spec.as_parameters]
-        found: Floats = self.laws.scores(seeds)[:, drawn]
+        found: Floats = self.laws.scores(seeds)[:, self.spec.drawn_places]
         return found
 
     def _own(self, start: Sequence[float]) -> tuple[float, ...]:

@@ -184,8 +184,10 @@ class SystemSpec(Model, metaclass=Written):
             raise ValueError("residual: false is for a system with disturbances; without any, let no variant be noisy")
         taken = {*(each.name for each in self.own_parameters), *(each.name for each in self.options)}
         for name in [each.name for each in self.disturbances]:
-            if not name or name in taken:
-                what = f"{name} is that of a parameter, an option or another disturbance" if name else "one has none"
+            if not name:
+                raise ValueError('disturbances: one has no name; write Normal(0, 1).named("gust", "m/s")')
+            if name in taken:
+                what = f"{name} is that of a parameter, an option or another disturbance"
                 raise ValueError(f"disturbances: every one needs a name of its own; {what}")
             taken.add(name)
         if SCORED in {each.unit for each in self.disturbances}:
@@ -296,7 +298,12 @@ class SystemSpec(Model, metaclass=Written):
     @property
     def drawn(self) -> tuple[Disturbance, ...]:
         """The disturbances that are drawn: those that are no parameters."""
-        return tuple(each for each in self.disturbances if each.name not in self.as_parameters)
+        return tuple(self.disturbances[place] for place in self.drawn_places)
+
+    @property
+    def drawn_places(self) -> tuple[int, ...]:
+        """Their places among the disturbances."""
+        return tuple(k for k, law in enumerate(self.disturbances) if law.name not in self.as_parameters)
 
     @property
     def own_columns(self) -> tuple[str, ...]:

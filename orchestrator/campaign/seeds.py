@@ -14,6 +14,7 @@ from ...schemas.system import SystemSpec
 from ..mathematics.seed_words import first_states
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int_]
 VARIANTS = ("nominal", "true")
 
 
@@ -31,11 +32,20 @@ def rollout_seeds(header: Header, first: RolloutId, tests: int, replicates: int)
     """Return the seed of every rollout of a batch, see `batch_rollouts`: each is that of `rollout_seed`."""
     if header.spec.seed_bits < SEED_BITS:
         return [rollout_seed(header, rollout) for rollout in batch_rollouts(first, tests, replicates)]
-    numbers = np.repeat(np.arange(first.test, first.test + tests, dtype=np.uint32), replicates)
-    places = np.tile(np.arange(first.replicate, first.replicate + replicates, dtype=np.uint32), tests)
-    variants = np.full(numbers.shape, variant_number(header.spec, first.variant), dtype=np.uint32)
+    numbers = np.repeat(np.arange(first.test, first.test + tests), replicates)
+    places = np.tile(np.arange(first.replicate, first.replicate + replicates), tests)
+    return seeds_of(header, first, numbers, places)
+
+
+def seeds_of(header: Header, series: RolloutId, tests: Integers, replicates: Integers) -> list[int]:
+    """Return the seeds of rollouts (n,) of the problem and variant of `series`, by their tests and replicates."""
+    if header.spec.seed_bits < SEED_BITS:
+        pairs = zip(tests.tolist(), replicates.tolist(), strict=True)
+        return [rollout_seed(header, series._replace(test=test, replicate=each)) for test, each in pairs]
+    variants = np.full(tests.shape, variant_number(header.spec, series.variant), dtype=np.uint32)
     entropy = header.config.seed, int(header.config_sha256, 16)
-    found = first_states(entropy, [zlib.crc32(first.problem.encode())], [numbers, variants, places])
+    words = [tests.astype(np.uint32), variants, replicates.astype(np.uint32)]
+    found = first_states(entropy, [zlib.crc32(series.problem.encode())], words)
     return [int(each) for each in found >> np.uint64(11)]
 
 

@@ -70,17 +70,20 @@ def _control(method: ProblemMethod, header: Header) -> document.ControlResult | 
         return None
     control, before_fit = method.control
     return document.ControlResult(
-        explained=_digits(max(1.0 - (control.residual / control.before) ** 2, 0.0)),
+        explained=_digits(control.explained),
         standard_deviation=_digits(control.residual),
         before_fit=before_fit,
         disturbances=tuple(
             document.ControlOfDisturbance(
                 name=law.name,
+                standard_deviation=_digits(deviation),
                 knots=tuple(basis.knots.tolist()),
                 # X is minus the J of which the facts speak for a maximum; it has the sense of the robustness.
                 levels=tuple(tuple(map(_digits, row)) for row in levels.tolist()),
             )
-            for law, basis, levels in zip(header.spec.drawn, control.bases, control.levels, strict=True)
+            for law, basis, levels, deviation in zip(
+                header.spec.drawn, control.bases, control.levels, control.deviations, strict=True
+            )
         ),
     )
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
+from ...schemas.ids import RolloutId
 from ...schemas.places import short_path
 from ...schemas.result.certificate import Certificate
 from ...schemas.result.facts import Header
@@ -35,6 +36,9 @@ MOST_CLAIMS = 3
 """Claims after the first that the end of a run shows."""
 MOST_SENTENCES = 4
 """Sentences on regions and closing checks that it shows."""
+
+MOST_DISTURBANCES = 2
+"""Disturbances of the worst rollout that it shows, which is one line."""
 
 
 def print_end(directory: Path, header: Header, certificate: Certificate, console: Console) -> CampaignVerdict:
@@ -103,9 +107,22 @@ def print_verdict(directory: Path, header: Header, certificate: Certificate, con
     indent = " " * 9
     for each in others:
         hanging(console, Text(indent), each)
+    if drawn := _worst_disturbances(header, found.violations.rollout):
+        hanging(console, Text(indent), f"In the worst, {', '.join(drawn)}.")
     if found.repeat:
         plain_line(console, f"{indent}Repeat the worst: {found.repeat}")  # in one line, to be copied
     return found
+
+
+def _worst_disturbances(header: Header, rollout: str | None) -> list[str]:
+    """Return the disturbances of a rollout that are furthest out."""
+    if rollout is None or not header.spec.disturbances:
+        return []
+    from ..campaign.seeds import rollout_seed  # noqa: PLC0415  (numpy, which `status` loads for no other campaign)
+    from ..report.rollout.disturbances import each_in_words  # noqa: PLC0415  (as above)
+
+    worst = RolloutId.parse(rollout)
+    return each_in_words(header, worst.variant, rollout_seed(header, worst), MOST_DISTURBANCES)
 
 
 def _repeat_command(directory: Path, header: Header, certificate: Certificate) -> str:

@@ -11,17 +11,18 @@ from .readonly import snapshot
 Floats = NDArray[np.float64]
 
 _ADDED = """
-    SELECT seq, problem, variant, test, replicates, robustness, robustness_of FROM rollouts
+    SELECT seq, problem, variant, test, replicate, replicates, robustness, robustness_of FROM rollouts
     WHERE seq > ? AND robustness IS NOT NULL ORDER BY seq
 """
 
 
 class AddedValues(NamedTuple):
-    """The robustness of the rollouts of one variant that were recorded at once, clipped, with the test of each."""
+    """The robustness of the rollouts of one variant that were recorded at once, clipped, with test and replicate."""
 
     problem: str
     variant: str
     tests: NDArray[np.int64]
+    replicates: NDArray[np.int64]
     robustness: Floats
 
 
@@ -47,8 +48,10 @@ class RolloutValueReader:
         return found
 
 
-def _each(test: int, replicates: int, least: float, column: bytes | None) -> tuple[NDArray[np.int64], Floats]:
-    """Return test and robustness of each rollout of a row; NaN is that of a rollout that failed."""
+def _each(
+    test: int, replicate: int, replicates: int, least: float, column: bytes | None
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
+    """Return test, replicate and robustness of each rollout of a row; NaN is that of a rollout that failed."""
     values = np.array([least]) if column is None else np.frombuffer(column)
     kept = np.flatnonzero(~np.isnan(values))
-    return test + kept // replicates, values[kept]
+    return test + kept // replicates, replicate + kept % replicates, values[kept]

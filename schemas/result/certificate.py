@@ -97,6 +97,7 @@ class ControlOfDisturbance(Model):
     """
 
     name: str
+    standard_deviation: float = Field(description="of what it takes out, over uniform starts; unit of the objective")
     knots: tuple[float, ...] = Field(description="normal quantiles of the disturbance, or numbers of its choices")
     levels: tuple[tuple[float, ...], ...]
 

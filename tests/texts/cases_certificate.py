@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from perfbound.orchestrator.certificate.words.control_text import control_sentence
 from perfbound.orchestrator.certificate.words.known_text import verdict_lines
 from perfbound.orchestrator.certificate.words.text import notes
 from perfbound.orchestrator.cli.result import print_end, print_everything
@@ -24,7 +25,7 @@ from tests.fakes.simulators import noise, robustness, simulate
 from tests.texts import Cases
 from tests.unit.campaign import test_regions, test_sample, test_starts
 from tests.unit.certificate import test_sensitivity, test_verdict
-from tests.unit.certificate.words import test_confidence, test_text
+from tests.unit.certificate.words import test_confidence, test_control_text, test_text
 
 ROOT = Path(__file__).parents[2]
 FINISHED = Path("tests/fixtures/finished")
@@ -77,6 +78,12 @@ def claims(folder: Path) -> Cases:
     for values in ({}, {"without_data": -0.06}, {"bound": 0.46}, {"bound": 0.4}):
         found = notes(test_sensitivity.a_claim(**values), 0)
         yield f"the share of the rollouts: {values}", "\n".join(found)
+    for bound, parts in ((0.48, test_control_text.BOTH), (0.48, test_control_text.GUST), (None, {})):
+        result = test_control_text.a_result(parts)
+        yield (
+            f"a control, {bound} without it: {parts}",
+            control_sentence(test_sensitivity.a_claim().claims[0], bound, [result]),
+        )
     yield from _confidence()
     assumptions = (
         Assumption(id="rkhs_norm/maximum", status="refuted", detail="B is wrong."),

@@ -20,7 +20,6 @@ from ....schemas.result.certificate import (
     Certificate,
     CertificateClaim,
     CompositionTerms,
-    ControlResult,
     MostStarts,
     Predicate,
     ProblemResult,
@@ -33,6 +32,7 @@ from ...campaign.clip import SAME, floored, is_vacuous
 from ..assumptions.sentences import title, value_text
 from .bound_text import chance, clip_words, in_unit, margin_text, outward, short_chance, start_words, with_named_starts
 from .console_lines import hanging, heading, plain_line
+from .control_text import control_sentence
 from .refutation_text import counterexample_words, refutation_sentence, risk_sentence
 from .region_text import region_sentences
 
@@ -231,14 +231,16 @@ def notes(predicate: Predicate, number: int) -> tuple[str, ...]:
     # A claim that shows nothing says so, and owes nothing to the constants.
     if claim.without_data is not None and not claim.vacuous:
         found.append(_alone_proves(claim, claim.without_data))
-    if rows and not (claim.vacuous and all(_nothing(claim, row.bound) for row in rows)):
+    of_control = next((row for row in rows if number == 0 and row.constant == "control"), None)
+    shown = [row for row in rows if row is not of_control]
+    if shown and not (claim.vacuous and all(_nothing(claim, row.bound) for row in shown)):
         both = ", in both problems" if composes(claim.rule) else ""
-        values = "; ".join(f"with {VARIED[row.constant, row.factor]} {_varied(claim, row.bound)}" for row in rows)
+        values = "; ".join(f"with {VARIED[row.constant, row.factor]} {_varied(claim, row.bound)}" for row in shown)
         found.append(f"The same tests{both}: {values}.")
     if number == 0 and predicate.bounded is not None:
         found += _bounded_words(predicate.bounded)
-    if number == 0:
-        found += [_control_words(each.name, each.control) for each in predicate.problems if each.control is not None]
+    if of_control is not None and not claim.vacuous:
+        found.append(control_sentence(claim, of_control.bound, predicate.problems))
     most = predicate.spot_check and predicate.spot_check.most_starts
     if number == 0 and most and not is_irreproducible(claim):
         found.append(_sentence_on_most_starts(most))
@@ -268,12 +270,6 @@ def _range_words(found: BoundedDisturbance) -> str:
         return f"{found.name} from {values}"
     scores = f"within {found.high:g} sd" if found.low == -found.high else f"from {found.low:g} to {found.high:g} sd"
     return f"{found.name} {scores} ({values})"
-
-
-def _control_words(problem: str, control: ControlResult) -> str:
-    """Return what a control has taken out, in a sentence."""
-    share = value_text(round(100.0 * control.explained, 1))
-    return f"Declared disturbances explain {share} % of the variance of a rollout; the bound of {problem} uses it."
 
 
 def is_irreproducible(claim: CertificateClaim) -> bool:

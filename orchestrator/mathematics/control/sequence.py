@@ -67,6 +67,19 @@ class Control:
             high += at_knots.max(axis=1) - mean
         return g, low, high
 
+    @property
+    def explained(self) -> float:
+        """The share of the variance of x that it took out of rollouts of which the fit knew nothing."""
+        return max(1.0 - (self.residual / self.before) ** 2, 0.0)
+
+    @property
+    def deviations(self) -> tuple[float, ...]:
+        """The standard deviation of the part of each disturbance in g, over uniform starts; unit X."""
+        # Shares of a range are uniform on [-1, 1]: their mean is 0, that of their squares and products 1/3 and 0.
+        parts = zip(self.bases, self.levels, strict=True)
+        variances = ([basis.variance(each) for each in levels] for basis, levels in parts)
+        return tuple((middle + sum(others) / 3.0) ** 0.5 for middle, *others in variances)
+
 
 def first_fit(rollouts: int) -> int:
     """Return after how many of so many rollouts the first control is fitted.

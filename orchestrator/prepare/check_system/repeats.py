@@ -30,6 +30,8 @@ _REMEDY_FALSE_NOISY = (
     "`seed`"
 )
 
+_REMEDY_IGNORED = "use the values of the declared disturbances; or declare none, where nothing is random"
+
 
 def judge_repeatable(measurements: Measurements) -> SystemFinding | None:
     """Judge whether equal requests give equal bytes."""
@@ -58,7 +60,8 @@ def _cause(measurements: Measurements, differing: Sequence[list[Rolled]]) -> tup
     if _depends_on_global_state(measurements):
         return (
             "differ when they are repeated: they depend on the global random state",
-            "draw every random number from np.random.default_rng(seed), made in the rollout from its `seed`",
+            "draw every random number from np.random.default_rng(seed), made in the rollout from its `seed`, or "
+            "declare it as a disturbance",
         )
     fresh, first, start = measurements.rows(0), measurements.rows(1), len(measurements.runs[0].trials)
     # Both processes begin with the same rollouts, and nothing ran before them.
@@ -114,7 +117,9 @@ def judge_seed(measurements: Measurements) -> SystemFinding | None:
         name = f"rollouts of the variant {variant}" if len(measurements.spec.variants) > 1 else "rollouts"
         if noisy and not differing:
             text = f"{name} are declared as noisy, but at {total} starts two seeds give the same one"
-            return failed("seed", text, _REMEDY_FALSE_NOISY)
+            # The finding about disturbances says what to do about one that is ignored.
+            disturbed = bool(measurements.spec.disturbances)
+            return failed("seed", text, _REMEDY_IGNORED if disturbed else _REMEDY_FALSE_NOISY)
         if not noisy and differing:
             text = f"{name} are not declared as noisy, but at {differing} of {total} starts two seeds give two of them"
             return failed("seed", text, f"declare it, noisy=[{variant!r}], or do not use the seed in this variant")

@@ -29,7 +29,7 @@ from ...store.changes import ChangeReader, Changes, Session
 from ...store.robustness import is_repeated
 from ...store.so_far import read_so_far
 from ..data.claims import VerdictCard, assumption_row
-from ..data.page import Axis, ReportData, State
+from ..data.page import Axis, DeclaredDisturbance, ReportData, State
 from ..data.ranges import ranges
 from ..data.rollouts import RankedTest, RolloutsOfTest
 from ..rollout import of_tests
@@ -187,6 +187,9 @@ class Collector:
             risk_weight=config.risk_weight if of_risk else None,
             clip=config.clip,
             axes=_axes(header),
+            disturbances=tuple(
+                DeclaredDisturbance(each.name, each.unit, each.words) for each in header.spec.disturbances
+            ),
             now=wording.current_bound(problems, claims),
             claims=claims,
             composition=predicate.composition if predicate else None,
@@ -199,8 +202,10 @@ class Collector:
                 )
             ),
             counterexamples=tuple(
-                of_tests.described(fact, self._start(*fact.rollout[:2]) or (), command(str(fact.rollout)))
-                for fact in violations.worst
+                of_tests.described(fact, self._start(*fact.rollout[:2]) or (), command(str(fact.rollout)), drawn)
+                for fact, drawn in zip(
+                    violations.worst, of_tests.disturbances_of(header, violations.worst), strict=True
+                )
             ),
             violations=violations.number,
             later_violations=violations.later,

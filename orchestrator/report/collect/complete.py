@@ -10,13 +10,15 @@ from numpy.typing import NDArray
 
 from ....schemas.result.certificate import Counterexample, Predicate, ProblemResult
 from ....schemas.result.facts import Header, RolloutFact
+from ...mathematics.bounds.kriging.method import KrigingMethod
 from ...store.export_tables import robustness_unit
 from ...store.rollout_values import AddedValues, RolloutValueReader
 from ..data.bars import bar_counts, edges_over
-from ..data.charts import Prediction, ProblemCharts, RolloutHistogram, VariantCounts
+from ..data.charts import DisturbanceCharts, Prediction, ProblemCharts, RolloutHistogram, VariantCounts
 from ..data.page import Problem, RegionMap
 from ..data.rollouts import FoundCounterexample
 from . import wording
+from .disturbances import RecordedRollouts, disturbance_charts, noisy_variant
 from .fresh_starts import FreshStarts, is_refuted
 from .prediction import prediction
 from .problem import ProblemCollector
@@ -27,24 +29,39 @@ Clip = tuple[float, float] | None
 
 
 class RolloutValues:
-    """The robustness of the rollouts so far, by problem and variant: 16 bytes a rollout. Not thread-safe."""
+    """The robustness of the rollouts so far, by problem and variant: 24 bytes a rollout. Not thread-safe."""
 
     def __init__(self) -> None:
-        self._values: dict[tuple[str, str], tuple[array[float], array[int]]] = {}
+        self._values: dict[tuple[str, str], tuple[array[float], array[int], array[int]]] = {}
 
     def add(self, added: Iterable[AddedValues]) -> None:
         """Add rollouts."""
         for each in added:
             key = each.problem, each.variant
-            values, tests = self._values.setdefault(key, (array("d"), array("q")))
+            values, tests, replicates = self._values.setdefault(key, (array("d"), array("q"), array("q")))
             values.frombytes(each.robustness.tobytes())
             tests.frombytes(each.tests.tobytes())
+            replicates.frombytes(each.replicates.tobytes())
+
+    def recorded(self, problem: str, variant: str) -> RecordedRollouts | None:
+        """Return the rollouts of a variant of a problem; None where there are none."""
+        if (problem, variant) not in self._values:
+            return None
+        # Copies: an array that lends its memory cannot grow.
+        values, tests, replicates = map(np.array, self._values[problem, variant])
+        order = np.lexsort((replicates, tests))  # not that in which workers were done
+        return RecordedRollouts(tests[order], replicates[order], values[order])
+
+    def number(self, problem: str, variant: str) -> int:
+        """Return how many rollouts of a variant of a problem there are."""
+        found = self._values.get((problem, variant))
+        return len(found[0]) if found else 0
 
     def histogram(self, problem: str, clip: Clip, unit: str) -> RolloutHistogram | None:
         """Return the histogram of a problem, with common edges for its variants; None without a robustness."""
         found = {
             variant: (np.array(values), np.array(tests))
-            for (name, variant), (values, tests) in sorted(self._values.items())
+            for (name, variant), (values, tests, _) in sorted(self._values.items())
             if name == problem
         }
         if not found:
@@ -81,6 +98,8 @@ class ProblemCompleter:
         # A certificate is final, and so is what follows from it.
         self._predicted: dict[str, Prediction | None] = {}
         self._divided: dict[str, RegionMap | None] = {}
+        self._disturbed: dict[str, tuple[tuple[int, int], DisturbanceCharts | None]] = {}
+        """With the numbers of tests and rollouts that each is about."""
 
     def add(self, facts: Iterable[object], violations: Iterable[RolloutFact]) -> None:
         """Add the next facts and violations, those of a spot check, and read the rollouts since the last call.
@@ -125,7 +144,26 @@ class ProblemCompleter:
         unit = robustness_unit(header.config, header.spec)
         rollouts = None if by_itself else self._values.histogram(plan.name, header.config.clip, unit)
         predicted = self._predicted.get(plan.key)
-        return replace(collector.charts, prediction=predicted, failing=failing, rollouts=rollouts)
+        return replace(
+            collector.charts,
+            prediction=predicted,
+            failing=failing,
+            rollouts=rollouts,
+            disturbances=self._disturbances(collector, header, unit),
+        )
+
+    def _disturbances(self, collector: ProblemCollector, header: Header, unit: str) -> DisturbanceCharts | None:
+        plan, (method, _) = collector.plan, collector.fed or (None, None)
+        variant = noisy_variant(header, plan)
+        if variant is None:
+            return None
+        of = len(collector.observed), self._values.number(plan.name, variant)
+        if plan.key not in self._disturbed or self._disturbed[plan.key][0] != of:
+            control = method.control if isinstance(method, KrigingMethod) else None
+            # The robustness of the whole says nothing about one requirement.
+            rollouts = None if plan.requirement is not None else self._values.recorded(plan.name, variant)
+            self._disturbed[plan.key] = of, disturbance_charts(header, plan, control, rollouts, unit)
+        return self._disturbed[plan.key][1]
 
     def _regions(self, collector: ProblemCollector, predicate: Predicate | None) -> RegionMap | None:
         name = collector.problem.name

@@ -5,6 +5,8 @@ Numbers have the unit and the sign of the problem's objective, except for a robu
 
 from dataclasses import dataclass
 
+from .rollouts import DrawnValue
+
 Series = tuple[float | None, ...]
 
 
@@ -105,6 +107,72 @@ class FailingStart:
 
 
 @dataclass(frozen=True, slots=True)
+class DisturbanceShare:
+    """What one declared disturbance explains of the rollouts."""
+
+    place: int
+    """Its number among the disturbances of the report."""
+    share: float
+    """Of the variance of a rollout."""
+    deviation: float | None
+    """Standard deviation of what the control takes out for it; None without a control."""
+    at: tuple[float, ...]
+    """Its values, in their order."""
+    effect: tuple[float, ...]
+    """What the control takes out at these values in the middle of the starts, or the mean of the rollouts near them."""
+
+
+@dataclass(frozen=True, slots=True)
+class DisturbanceScatter:
+    """Rollouts by their values of one or two disturbances; lists of equal lengths."""
+
+    axes: tuple[int, ...]
+    """Numbers among the disturbances of the report, one or two."""
+    at: tuple[tuple[float, ...], ...]
+    """The values, a list for each axis."""
+    margin: tuple[float, ...]
+    marked: tuple[bool, ...]
+    """The rollouts that violate the specification; where none does, the worst ones."""
+    test: tuple[int, ...]
+    rollouts: int
+    """Number of all; the lists have the worst, and an even choice of the others."""
+    violations: int
+    """Of all."""
+
+
+@dataclass(frozen=True, slots=True)
+class WorstRollout:
+    """The rollout of least robustness, with its disturbances."""
+
+    id: str
+    test: int
+    robustness: float
+    disturbances: tuple[DrawnValue, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class DisturbanceCharts:
+    """What the declared disturbances do to the rollouts of a problem."""
+
+    unit: str
+    """Of the robustness."""
+    explained: float | None
+    """Share of the variance of a rollout that the control takes out; None without one."""
+    left: float | None
+    """Standard deviation of what it leaves."""
+    before_fit: int
+    """Rollouts of which it takes nothing, because they come before its first fit."""
+    sampled: int
+    """Rollouts from which the shares are estimated; 0 with a control."""
+    chance: float | None
+    """A share up to this may be chance; None with a control."""
+    shares: tuple[DisturbanceShare, ...]
+    """The largest first, at most 12."""
+    scatter: DisturbanceScatter | None
+    worst: WorstRollout | None
+
+
+@dataclass(frozen=True, slots=True)
 class ProblemCharts:
     """What the charts of a problem show beyond its tests."""
 
@@ -121,3 +189,5 @@ class ProblemCharts:
     failing: tuple[FailingStart, ...] = ()
     """The worst first, at most 100."""
     rollouts: RolloutHistogram | None = None
+    disturbances: DisturbanceCharts | None = None
+    """Of a system that declares some."""

@@ -96,6 +96,16 @@ class Axis:
 
 
 @dataclass(frozen=True, slots=True)
+class DeclaredDisturbance:
+    """One declared disturbance."""
+
+    name: str
+    unit: str
+    law: str
+    """In words."""
+
+
+@dataclass(frozen=True, slots=True)
 class Surface:
     """The band of a method at the nodes of a plane through D (last axis fastest), or at all listed starts."""
 
@@ -324,6 +334,8 @@ class ReportData:
     """Of a campaign that has not ended."""
     link: RouterLink | None = None
     """To the router, on the live page of a run that has one."""
+    disturbances: tuple[DeclaredDisturbance, ...] = ()
+    """That the system declares, with the laws of the campaign."""
     where: str | None = None
     """The condition on the parameters, of a campaign that leaves out a part of the ranges."""
 

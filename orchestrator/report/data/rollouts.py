@@ -61,6 +61,19 @@ class InputCurve:
 
 
 @dataclass(frozen=True, slots=True)
+class DrawnValue:
+    """The value of one declared disturbance in one rollout, and how far out it is under its law."""
+
+    place: int
+    """Its number among the disturbances of the report."""
+    value: float
+    sd: float | None
+    """The normal quantile of its probability: of a normal law its distance from the mean in standard deviations."""
+    chance: float | None
+    """Of one of finitely many values, its probability in place of this."""
+
+
+@dataclass(frozen=True, slots=True)
 class Rollout:
     """One recorded rollout."""
 
@@ -76,6 +89,8 @@ class Rollout:
     """Path of its file relative to the run directory; empty if the recorded one leaves it."""
     command: str
     """Command that simulates it again."""
+    disturbances: tuple[DrawnValue, ...] = ()
+    """The few that are furthest out, the furthest first."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -89,7 +89,7 @@ function rolloutList(report, rollouts, { unit = robustnessUnit(report), at = fal
   const name = (each) => `${words(each.problem)}, test ${count(each.test)}`;
   const test = (each) => el("button", { "data-select": `${each.problem}:${each.test}` }, name(each));
   const cells = (each) => (at ? [name(each), words(each.variant)] : [test(each), words(each.variant), place(each.x, report.axes)]);
-  const list = (some) => rolloutTable(["Test", "Variant", ...(at ? [] : ["Start"])], some, cells, { unit, onPaper: PAPER_ROWS, where: "in counterexamples.csv" });
+  const list = (some) => rolloutTable(["Test", "Variant", ...(at ? [] : ["Start"])], some, cells, { report, unit, onPaper: PAPER_ROWS, where: "in counterexamples.csv" });
   const rest = rollouts.slice(FIRST_ROWS);
   return [list(rollouts.slice(0, FIRST_ROWS)), rest.length ? el("details.more.screen", { "data-paper": "folded" }, el("summary", `${count(rest.length)} more`), list(rest)) : null, rest.length ? el("p.on-paper", `and ${count(rest.length)} more, in counterexamples.csv`) : null];
 }

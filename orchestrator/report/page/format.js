@@ -21,8 +21,8 @@ function unitText(unit) {
 }
 
 /** A number with its unit. */
-function quantity(value, unit) {
-  return value === null || value === undefined ? num(value) : `${num(value)} ${unitText(unit)}`.trimEnd();
+function quantity(value, unit, digits = 4) {
+  return value === null || value === undefined ? num(value) : `${num(value, digits)} ${unitText(unit)}`.trimEnd();
 }
 
 /** "phi (rad)". */

@@ -24,7 +24,7 @@ function draw() {
   morph(document.getElementById("page"), tree(report, selected, data));
   report.problems.forEach((problem, index) => {
     redrawMaps(index);
-    drawProblemCharts(problem, index);
+    drawProblemCharts(report, problem, index);
     drawRegions(report, problem, index);
   });
   drawCurves(data);

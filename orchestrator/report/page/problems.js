@@ -16,6 +16,7 @@ function problemSection(report, index, shown, selected) {
   const problem = report.problems[index];
   const kind = mapKind(report, problem);
   const wide = report.axes.length > 2 || problem.charts.prediction === null; // room to the right, none to the left
+  const importances = [importanceFigure(report, problem), disturbanceFigure(report, problem)];
   const bars = isListed(problem) ? startBars(report, index, kind === null) : null;
   return el(
     `section.problem#problem-${index}`,
@@ -26,12 +27,13 @@ function problemSection(report, index, shown, selected) {
     problem.warnings.length ? el("ul.warnings", problem.warnings.map((line) => el("li", sentence(line)))) : null,
     el(
       "div.columns",
-      el("div", problem.drawn ? histogramFigure(problem.drawn, `histogram-${index}`) : null, requirementTable(problem), boundedRequirements(report, problem), parallelFigure(report, index), kind === null ? null : mapFigure(report, index, kind, shown), bars, predictionFigure(problem, index), wide ? null : importanceFigure(report, problem)),
+      el("div", problem.drawn ? histogramFigure(problem.drawn, `histogram-${index}`) : null, requirementTable(problem), boundedRequirements(report, problem), parallelFigure(report, index), kind === null ? null : mapFigure(report, index, kind, shown), bars, predictionFigure(problem, index), ...(wide ? [disturbedFigure(report, problem, index)] : importances)),
       el(
         "div",
         boundFigure(report, problem, index),
         decayFigure(problem, index),
-        wide ? importanceFigure(report, problem) : null,
+        wide ? importances : null,
+        wide ? null : disturbedFigure(report, problem, index),
         rolloutFigure(problem, index),
         worstTests(report, problem, selected),
       ),
@@ -318,10 +320,11 @@ function observedUnit(problem) {
 }
 
 /** Draw the charts of a problem into their elements. */
-function drawProblemCharts(problem, index) {
+function drawProblemCharts(report, problem, index) {
   if (problem.drawn) drawHistogram(problem.drawn, `histogram-${index}`);
   if (converges(problem)) drawDecay(problem, index);
   drawBounds(problem, index);
   drawPrediction(problem, index);
+  drawDisturbed(report, problem, index);
   drawRolloutHistograms(problem, index);
 }

@@ -17,6 +17,7 @@ from ....schemas.trajectory.trajectory import Trajectory
 from ...store import tables
 from ...store.changes import batch_in, proposal_in, rollouts_in
 from ...store.read import failures, read_header, reading
+from .disturbances import words
 from .of_tests import read_batch_of, read_recorded
 
 _rollouts = tables.rollouts.c
@@ -96,14 +97,16 @@ def load_batch(directory: Path, recorded: RecordedRollout) -> list[RecordedRollo
 def description(found: RecordedRollout) -> str:
     """Return system, variant, start, seed and robustness of a rollout in one line."""
     request, spec = found.request, found.header.spec
-    start = ", ".join(
-        f"{each.name} = {value:g} {each.unit}".removesuffix(" 1")
-        for each, value in zip(spec.own_parameters, request.x, strict=True)
-    )
+    numbers = [(each.name, each.unit, value) for each, value in zip(spec.own_parameters, request.x, strict=True)]
+    if request.disturbances:
+        every = zip(spec.disturbances, request.disturbances, strict=True)
+        numbers += [(law.name, law.unit, value) for law, value in every if law.name in spec.as_parameters]
+    start = ", ".join(f"{name} = {value:.6g} {unit}".removesuffix(" 1").rstrip() for name, unit, value in numbers)
     score = "" if found.fact.robustness is None else f", robustness {found.fact.robustness:.6g}"
     score += "; its sign may depend on a time stamp close to a border of a window" if found.fact.by_tolerance else ""
-    drawn = f"{request.disturbance_words(spec)}, " if request.disturbances else ""
-    return f"{spec.name}, {request.variant}, {start}, {drawn}seed {request.seed}{score}"
+    drawn = words(found.header, request.variant, request.seed)
+    parts = [spec.name, request.variant, start, drawn, f"seed {request.seed}{score}"]
+    return ", ".join(filter(None, parts))
 
 
 def _find(connection: Connection, header: Header, directory: Path, text: str) -> tuple[RolloutFact, tuple[float, ...]]:

@@ -10,11 +10,13 @@ from ....schemas.result.facts import Header, RolloutFact
 from ....schemas.trajectory.batch import Batch, BatchFile
 from ....schemas.trajectory.reduced import Reduced, read_stored
 from ....schemas.trajectory.trajectory import File, read_mcap
+from ...campaign.seeds import VARIANTS
 from ...certificate.words.format import replay_command
 from ...store import files
 from ...store.export_tables import robustness_unit
-from ..data.rollouts import Curve, DrawnRollout, Rollout, RolloutsOfTest
+from ..data.rollouts import Curve, DrawnRollout, DrawnValue, Rollout, RolloutsOfTest
 from . import curves, over_time
+from .disturbances import drawn_values
 
 MOST_REPLICATES = 3
 """Replicates with curves, the worst ones."""
@@ -59,15 +61,15 @@ def of_test(
             traces += of_rollout(columns)
             more += of_rollout(further, most=curves.FURTHER_POINTS)
             drawn.append(over_time.with_margin(fact, trajectory, tree, header.spec.after_end))
-    shown = over_time.shown_formula(tree)
+    shown, listed = over_time.shown_formula(tree), _worst_first(facts)[:MOST_ROLLOUTS]
     return RolloutsOfTest(
         problem=facts[0].rollout.problem,
         test=facts[0].rollout.test,
         traces=tuple(traces),
         limits=tuple(limit for _, limit in limits),
         rollouts=tuple(
-            described(fact, x, replay_command(directory, header, str(fact.rollout), system))
-            for fact in _worst_first(facts)[:MOST_ROLLOUTS]
+            described(fact, x, replay_command(directory, header, str(fact.rollout), system), drawn)
+            for fact, drawn in zip(listed, disturbances_of(header, listed), strict=True)
         ),
         limit_columns=tuple(column for column, _ in limits),
         error="; ".join(errors) or None,
@@ -83,8 +85,18 @@ def of_test(
     )
 
 
-def described(fact: RolloutFact, x: tuple[float, ...], command: str) -> Rollout:
-    """Return the data of a recorded rollout, whose start is `x`."""
+def disturbances_of(header: Header, facts: Sequence[RolloutFact]) -> list[tuple[DrawnValue, ...]]:
+    """Return the disturbances of recorded rollouts."""
+    found = dict[RolloutFact, tuple[DrawnValue, ...]]()
+    # At once: of one rollout they take as long as of a hundred.
+    for variant in VARIANTS:
+        own = [fact for fact in facts if fact.rollout.variant == variant]
+        found.update(zip(own, drawn_values(header, variant, [fact.seed for fact in own]), strict=True))
+    return [found[fact] for fact in facts]
+
+
+def described(fact: RolloutFact, x: tuple[float, ...], command: str, drawn: tuple[DrawnValue, ...] = ()) -> Rollout:
+    """Return the data of a recorded rollout, whose start is `x` and whose disturbances are `drawn`."""
     return Rollout(
         id=str(fact.rollout),
         **fact.rollout._asdict(),
@@ -93,6 +105,7 @@ def described(fact: RolloutFact, x: tuple[float, ...], command: str) -> Rollout:
         robustness=fact.robustness,
         path=fact.path if _is_inside(fact.path) else "",
         command=command,
+        disturbances=drawn,
     )
 
 

@@ -5,18 +5,31 @@ import math
 from dataclasses import replace
 
 from perfbound.orchestrator.report.data.charts import (
+    DisturbanceCharts,
+    DisturbanceScatter,
+    DisturbanceShare,
     Importance,
     ParameterImportance,
     Prediction,
     ProblemCharts,
     RolloutHistogram,
     VariantCounts,
+    WorstRollout,
 )
 from perfbound.orchestrator.report.data.claims import AssumptionRow, Claim, assumption_row
-from perfbound.orchestrator.report.data.page import Axis, Drawn, Problem, ReportData, Surface, TestSeries
+from perfbound.orchestrator.report.data.page import (
+    Axis,
+    DeclaredDisturbance,
+    Drawn,
+    Problem,
+    ReportData,
+    Surface,
+    TestSeries,
+)
 from perfbound.orchestrator.report.data.rollouts import (
     Curve,
     DrawnRollout,
+    DrawnValue,
     FoundCounterexample,
     InputCurve,
     RankedTest,
@@ -192,6 +205,48 @@ def charted() -> ReportData:
     problem = report.problems[0]
     tests = replace(problem.tests, lower=(-20.0, *(problem.tests.lower[1:])))
     return replace(report, problems=(replace(problem, tests=tests, charts=charts, bound=0.3727),))
+
+
+def disturbed(*, control: bool = True) -> ReportData:
+    """The same with two declared disturbances: `gust`, of which 2 of 40 rollouts fail, and a rare `fault`."""
+    report = charted()
+    gust = tuple(0.5 * k - 10.0 for k in range(40))
+    fault = tuple(float(k % 8 == 7) for k in range(40))
+    margin = tuple(0.3 - 0.04 * max(0.0, value - 1.0) for value in gust)
+    drawn = (DrawnValue(0, 9.5, 2.94, None), DrawnValue(1, 1.0, None, 0.125))
+    charts = DisturbanceCharts(
+        unit="rad",
+        explained=0.976 if control else None,
+        left=0.0192 if control else None,
+        before_fit=40 if control else 0,
+        sampled=0 if control else 4096,
+        chance=None if control else 0.01,
+        shares=(
+            DisturbanceShare(0, 0.95, 0.103 if control else None, (-9.0, 0.0, 9.0), (0.02, 0.01, -0.32)),
+            DisturbanceShare(1, 0.026, 0.017 if control else None, (0.0, 1.0), (0.01, -0.04)),
+        ),
+        scatter=DisturbanceScatter(
+            axes=(0, 1),
+            at=(gust, fault),
+            margin=margin,
+            marked=tuple(value < 0 for value in margin),
+            test=tuple(range(40)),
+            rollouts=100_000,
+            violations=sum(value < 0 for value in margin),
+        ),
+        worst=WorstRollout("nominal_robustness.0.true.1", 0, min(margin), drawn),
+    )
+    problem = report.problems[0]
+    scenes = tuple(
+        replace(scene, rollouts=tuple(replace(each, disturbances=drawn) for each in scene.rollouts))
+        for scene in report.scenes
+    )
+    declared = (
+        DeclaredDisturbance("gust", "m/s", "normal, mean 0 m/s, sd 3 m/s"),
+        DeclaredDisturbance("fault", "", "0 (0.875), 1 (0.125)"),
+    )
+    problems = (replace(problem, charts=replace(problem.charts, disturbances=charts)),)
+    return replace(report, problems=problems, scenes=scenes, disturbances=declared)
 
 
 def many(parameters: int = 12, tests: int = 30) -> ReportData:

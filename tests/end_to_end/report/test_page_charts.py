@@ -33,8 +33,8 @@ BARE = """() => [...document.querySelectorAll("section.problem figure")]
     .map((each) => each.innerText)"""
 BARS = """(id) => charts.get(document.getElementById(id)).plot.data.slice(1)
     .map((each) => each.map((value) => value ?? 0))"""
-RED = """() => {
-    const canvas = document.getElementById("predicted-0");
+RED = """(id) => {
+    const canvas = document.getElementById(id);
     const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
     const isRed = (k) => [194, 79, 0, 255].every((value, part) => data[k + part] === value);
     return [...Array(data.length / 4).keys()].filter((k) => isRed(4 * k)).length;
@@ -66,7 +66,7 @@ def stopped_at_once(report: page.ReportData) -> page.ReportData:
 
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (1280, "dark"), (360, "light")])
 def test_every_picture_has_a_caption_and_fits(browser: Browser, tmp_path: Path, width: int, scheme: Scheme) -> None:
-    with opened(browser, tmp_path, example_reports.charted(), width=width, scheme=scheme) as watch:
+    with opened(browser, tmp_path, example_reports.disturbed(), width=width, scheme=scheme) as watch:
         assert watch.overflow() == 0
         assert watch.page.evaluate(BARE) == []
         assert watch.page.locator("section.problem .u-legend").count() == 0
@@ -157,7 +157,7 @@ def test_starts_outside_of_the_prediction_are_red_and_counted(browser: Browser, 
         assert (canvas.get_attribute("data-starts"), canvas.get_attribute("data-inside")) == ("30", "28")
         assert "28 of 30 are within the predicted bounds." in figure.inner_text()
         assert "a point outside does not refute them by itself" in figure.inner_text()
-        assert watch.page.evaluate(RED) > 10
+        assert watch.page.evaluate(RED, "predicted-0") > 10
 
 
 def test_importance_is_bars_and_curves_the_most_important_first(browser: Browser, tmp_path: Path) -> None:
@@ -282,3 +282,59 @@ def test_a_bound_beyond_the_requirement_does_not_hide_a_violation(browser: Brows
         text = watch.page.locator("section.problem").first.inner_text()
         assert "but the verdict is VIOLATED" in text
         assert "meets the requirement" not in text
+
+
+def test_disturbances_have_shares_curves_and_the_failing_rollouts(browser: Browser, tmp_path: Path) -> None:
+    with opened(browser, tmp_path, example_reports.disturbed()) as watch:
+        shares = watch.page.locator("figure.sensitivity .shares").inner_text().split("\n")
+        assert [each.strip() for each in shares if each.strip()] == [
+            "gust",
+            "95 %, sd 0.103 rad",
+            "fault",
+            "2.6 %, sd 0.017 rad",
+        ]
+        curve = watch.page.locator("figure.sensitivity .effect svg").first.get_attribute("aria-label")
+        assert curve == "part of the control against gust (m/s): from 0.02 to -0.32 rad"
+        caption = watch.page.locator("figure.sensitivity .caption").inner_text()
+        assert "Together it is 97.6 % of the variance; a standard deviation of 0.0192 rad is left." in caption
+        canvas = watch.page.locator("#disturbed-0")
+        assert (canvas.get_attribute("data-rollouts"), canvas.get_attribute("data-marked")) == ("40", "2")
+        assert watch.page.evaluate(RED, "disturbed-0") > 0
+        caption = watch.page.locator("figure.disturbed .caption").inner_text()
+        assert "by its gust and fault, the two disturbances that matter most" in caption
+        assert "rollouts that violate the specification, as 2 of 100,000 do." in caption
+        assert "The picture has 40 of them: the worst ones, and an even choice of the others." in caption
+        sentence = watch.page.locator("figure.disturbed > p").first.inner_text()
+        assert sentence == (
+            "Worst rollout nominal_robustness.0.true.1, robustness -0.04 rad: gust = 9.5 m/s (2.9 sd), fault = 1 "
+            "(probability 0.125)."
+        )
+        watch.page.locator("figure.disturbed button").click()
+        assert watch.page.locator("#test").get_attribute("data-test") == "0"
+        heads = watch.page.locator("#test table.rollouts").first.locator("th").all_inner_texts()
+        assert heads[2:5] == ["Robustness (rad)", "Disturbances", "Seed"]
+        assert "gust = 9.5 m/s (2.9 sd)" in watch.page.locator("#test table.rollouts").first.inner_text()
+
+
+def test_without_a_control_shares_are_of_rollouts(browser: Browser, tmp_path: Path) -> None:
+    report = example_reports.disturbed(control=False)
+    charts = report.problems[0].charts
+    found = charts.disturbances
+    assert found is not None
+    assert found.scatter is not None
+    calm = replace(found.scatter, axes=(0,), at=found.scatter.at[:1], violations=0)
+    problem = replace(report.problems[0], charts=replace(charts, disturbances=replace(found, scatter=calm)))
+    with opened(browser, tmp_path, replace(report, problems=(problem,))) as watch:
+        figure = watch.page.locator("figure.sensitivity")
+        assert "sd" not in figure.locator(".shares").inner_text()
+        assert "up to 1 % may be chance" in figure.locator(".legend").inner_text()
+        assert "of 4,096 rollouts that a disturbance explains by itself" in figure.locator(".caption").inner_text()
+        caption = watch.page.locator("figure.disturbed .caption").inner_text()
+        assert "by its gust and its robustness" in caption
+        assert "the 2 worst of 100,000 rollouts, none of which violates the specification" in caption
+
+
+def test_a_system_without_disturbances_has_no_picture_of_them(browser: Browser, tmp_path: Path) -> None:
+    with opened(browser, tmp_path, example_reports.charted()) as watch:
+        assert watch.page.locator("figure.sensitivity, figure.disturbed").count() == 0
+        assert "Disturbances" not in watch.page.locator("#test table.rollouts").first.inner_text()

@@ -174,7 +174,11 @@ class TestDisturbances:
         assert rows["control"] is not None
         assert rows["control"] < on.claims[0].bound
         assert "control" not in {row.constant for row in off.sensitivity or ()}
-        assert says(notes(on, 0)[2], "Declared disturbances explain % of the variance of a rollout")
+        assert wind.standard_deviation == pytest.approx(0.2 * 0.6279, abs=0.01), "of tanh of a normal number"
+        assert flap.standard_deviation == pytest.approx(0.1, abs=0.01)
+        assert "control" not in notes(on, 0)[1]
+        assert says(notes(on, 0)[2], "^The declared disturbances raise the bound explain % most of it wind")
+        assert says(notes(off, 0)[1], "^The same tests")
         assert not verified(tmp_path / "on")
 
     @pytest.mark.rest

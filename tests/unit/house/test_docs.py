@@ -13,9 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 import pytest
 
+import perfbound
 from perfbound.orchestrator.cli.group import cli
+from perfbound.schemas.draws.laws import inverse
 from perfbound.schemas.file.reader import parse_campaign
 from perfbound.schemas.file.toml_text import toml_file
 from perfbound.workers.cli import serve
@@ -114,6 +117,24 @@ def test_parts_of_campaign_files_are_allowed(page: str) -> None:
             given = tomllib.loads(each)
             file = given if "prior_mean" in given else base | given
             assert parse_campaign(toml_file(file).encode(), "part.toml").specification, each
+
+
+def test_the_laws_of_the_docs_are_those_of_numpy() -> None:
+    """By the median of many draws."""
+    page = (ROOT / "docs/own-system.md").read_text()
+    rows = re.findall(r"^ *\| (`.*?rng\..*) \| (`pb\..*) \|$", page, re.MULTILINE)
+    pairs = [
+        pair
+        for drawn, declared in rows
+        for pair in zip(re.findall(r"`(.*?)`", drawn), re.findall(r"`(pb\..*?)`", declared), strict=True)
+    ]
+    assert len(pairs) == 8
+    for drawn, declared in pairs:
+        call = drawn[:-1] + (", size=20_001)" if drawn.endswith(")") else "")
+        sample = np.asarray(eval(call, {"rng": np.random.default_rng(1)}))
+        law = eval(declared, {"pb": perfbound})
+        shares = np.linspace(0.11, 0.89, 9)
+        assert np.quantile(sample, shares) == pytest.approx(inverse(law)(shares), rel=0.03, abs=0.06), declared
 
 
 def test_the_system_of_the_docs_keeps_the_contract() -> None:

@@ -38,8 +38,8 @@ function percent(share) {
   return `${num(100 * share, 2)} %`;
 }
 
-/** Name, bar and share of one parameter. */
-function shareRow(axis, { first, total }, chance) {
+/** Name, bar and share of one parameter, with more text behind it. */
+function shareRow(axis, { first, total }, chance, more = "") {
   const at = (share) => 1000 * Math.min(1, share);
   const bars = [svg("rect", { class: "first", x: 0, y: 3, width: Math.max(2, at(first)), height: 12 })];
   if (total !== null) bars.unshift(svg("rect", { class: "total", x: 0, y: 3, width: Math.max(2, at(total)), height: 12 }));
@@ -49,12 +49,12 @@ function shareRow(axis, { first, total }, chance) {
   return [
     el("span", { title: visible(axis.name).slice(0, 1000) }, shortMiddle(axis.name, 30)),
     svg("svg", { viewBox: "0 0 1000 18", preserveAspectRatio: "none", "aria-hidden": "true" }, ...bars),
-    el("span.value", text),
+    el("span.value", text + more),
   ];
 }
 
 /** The mean over all others as a curve over one parameter; `range` is common to all of them. */
-function effectCurve(axis, { at, effect }, range, { name, unit }) {
+function effectCurve(axis, { at, effect }, range, { name, unit, digits = 4 }) {
   const { width, height, margin } = EFFECT;
   const picture = { left: margin, top: margin, width: width - 2 * margin, height: height - 2 * margin };
   const { toX, toY } = frame(picture, [axis.low, axis.high], range);
@@ -65,6 +65,6 @@ function effectCurve(axis, { at, effect }, range, { name, unit }) {
     "div.effect",
     el("div.muted", { title: visible(axis.name).slice(0, 1000) }, withUnit(shortMiddle(axis.name, 20), axis.unit)),
     svg("svg", { viewBox: `0 0 ${width} ${height}`, preserveAspectRatio: "none", role: "img", "aria-label": label }, svg("polyline", { points })),
-    el("div.ends", el("span", num(axis.low)), el("span", `${num(ends[0])} to ${quantity(ends[1], unit)}`), el("span", num(axis.high))),
+    el("div.ends", el("span", num(axis.low, digits)), el("span", `${num(ends[0], digits)} to ${quantity(ends[1], unit, digits)}`), el("span", num(axis.high, digits))),
   );
 }

@@ -290,7 +290,11 @@ function observedValues(report, problem) {
 
 /** The colour of an observed value: the stronger the worse, on a light as on a dark page; half of the tests have either half. */
 function observedColour(report, problem) {
-  const [worst, middle, best] = observedValues(report, problem) ?? [0, 0, 0];
+  return rampColour(observedValues(report, problem) ?? [0, 0, 0]);
+}
+
+/** The colour of a value by the worst, the middle and the best one. */
+function rampColour([worst, middle, best]) {
   const { weak, strong, muted } = theme();
   const share = (value, from, to) => (to === from ? 1 : Math.min(Math.max((value - from) / (to - from), 0), 1));
   return (value) => (value === null ? muted : mixed(strong, weak, (share(value, worst, middle) + share(value, middle, best)) / 2));

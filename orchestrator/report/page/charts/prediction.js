@@ -49,7 +49,7 @@ function drawPrediction(problem, index) {
   const rangeX = widened(extent(mean) ?? [0, 1]);
   const at = frame(box, rangeX, range);
   const context = canvasContext(canvas, width, box.top + box.height + MARGIN.bottom);
-  drawPredictionAxes(context, at, problem);
+  drawScatterAxes(context, at, [withUnit("predicted mean", problem.unit), withUnit("observed", problem.unit)]);
   context.save();
   context.beginPath();
   context.rect(box.left, box.top, box.width, box.height);
@@ -65,7 +65,8 @@ function widened([low, high]) {
   return [low - margin, high + margin];
 }
 
-function drawPredictionAxes(context, { box, rangeX, rangeY, toX, toY }, problem) {
+/** Border, ticks and names of both axes of points. */
+function drawScatterAxes(context, { box, rangeX, rangeY, toX, toY }, [nameX, nameY]) {
   const colours = theme();
   const { left, top, width, height } = box;
   context.strokeStyle = colours.muted;
@@ -77,7 +78,7 @@ function drawPredictionAxes(context, { box, rangeX, rangeY, toX, toY }, problem)
     line(context, toX(value), top + height, toX(value), top + height + 4);
     context.fillText(text, toX(value), top + height + 6);
   }
-  context.fillText(withUnit("predicted mean", problem.unit), left + width / 2, top + height + 22, width);
+  context.fillText(nameX, left + width / 2, top + height + 22, width);
   align(context, "right", "middle");
   for (const [value, text] of ticks(...rangeY, Math.max(2, height / 45))) {
     line(context, left - 4, toY(value), left, toY(value));
@@ -87,7 +88,7 @@ function drawPredictionAxes(context, { box, rangeX, rangeY, toX, toY }, problem)
   context.translate(9, top + height / 2);
   context.rotate(-Math.PI / 2);
   align(context, "center", "middle");
-  context.fillText(withUnit("observed", problem.unit), 0, 0, height);
+  context.fillText(nameY, 0, 0, height);
   context.restore();
 }
 

@@ -23,7 +23,7 @@ function testSection(report, selected, data, live) {
     data?.error ? el("p.note.bad", short(data.error, 1000)) : null,
     data?.inputs.length ? inputFigures(data) : null,
     data?.traces.length ? curveFigures(report, data) : el("p.note", noCurves(selected, data, live)),
-    data?.rollouts.length ? testRollouts(data) : null,
+    data?.rollouts.length ? testRollouts(report, data) : null,
   );
 }
 
@@ -97,22 +97,23 @@ function drawInput(host, { name, unit, t, values, knots, low, high }) {
 }
 
 /** The rollouts of the test, those with curves with the key of theirs. */
-function testRollouts(data) {
+function testRollouts(report, data) {
   const drawn = new Map(drawnRollouts(data).map((each) => [each.key, each]));
   const line = ({ id }) => (drawn.has(id) ? rolloutLine(drawn.get(id)) : el("span.key.none"));
   const cells = (each) => [el("span.variant", line(each), words(each.variant)), each.replicate];
-  return rolloutTable(["Variant", "#Replicate"], data.rollouts, cells, { unit: data.margin_unit, onPaper: PAPER_ROWS });
+  return rolloutTable(["Variant", "#Replicate"], data.rollouts, cells, { report, unit: data.margin_unit, onPaper: PAPER_ROWS });
 }
 
 /**
  * A table of rollouts; `cells` are the first cells of a row. In a report, which may be moved, commands are for its folder.
- * @param {{unit?: string, onPaper?: number, where?: string}} options unit of the robustness, the rows that paper shows, and where the others are
+ * @param {{report: object, unit?: string, onPaper?: number, where?: string}} options unit of the robustness, the rows that paper shows, and where the others are
  */
-function rolloutTable(heads, rollouts, cells, { unit = "", onPaper: rows = Infinity, where = "on the screen" } = {}) {
+function rolloutTable(heads, rollouts, cells, { report, unit = "", onPaper: rows = Infinity, where = "on the screen" }) {
+  const disturbed = rollouts.some((each) => each.disturbances.length);
   const command = `Simulate again${document.body.dataset.live ? "" : " (in this folder)"}`;
   const robustness = (value) => (value < 0 ? el("strong.bad", num(value)) : num(value));
-  const row = (each) => [...cells(each), robustness(each.robustness), each.seed, fileLink(each.path), commandLine(each.command)];
-  const found = table([...heads, `#Robustness${unitText(unit) && ` (${unitText(unit)})`}`, "#Seed", "Trajectory (MCAP)", command], rollouts.map(row));
+  const row = (each) => [...cells(each), robustness(each.robustness), ...(disturbed ? [disturbanceText(report, each.disturbances)] : []), each.seed, fileLink(each.path), commandLine(each.command)];
+  const found = table([...heads, `#Robustness${unitText(unit) && ` (${unitText(unit)})`}`, ...(disturbed ? ["Disturbances"] : []), "#Seed", "Trajectory (MCAP)", command], rollouts.map(row));
   found.classList.add("rollouts");
   return [found, shortenedOnPaper(found, rows, where)];
 }

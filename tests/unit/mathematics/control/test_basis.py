@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import integrate, stats
 
-from perfbound.orchestrator.mathematics.control.basis import Basis, choice_basis, normal_basis
+from perfbound.orchestrator.mathematics.control.basis import choice_basis, normal_basis
 
 NUMBERS = st.lists(st.floats(-8, 8), min_size=1, max_size=30)
 
@@ -27,6 +27,20 @@ def test_the_means_of_a_normal_score_are_their_integrals(knots: int) -> None:
     assert basis.means.sum() == pytest.approx(1.0, abs=1e-15)
 
 
+@pytest.mark.parametrize("knots", [2, 3, 7, 13])
+def test_the_variance_of_a_function_of_a_normal_score_is_its_integral(knots: int) -> None:
+    basis, levels = normal_basis(knots), np.cos(np.arange(knots) * 1.7) + 3.0
+    pieces = [-9.0, *basis.knots.tolist(), 9.0]
+
+    def moment(power: int) -> float:
+        def weighted(t: float) -> float:
+            return float((basis.hats(np.array([t]))[0] @ levels) ** power * stats.norm.pdf(t))
+
+        return float(sum(integrate.quad(weighted, a, b, epsabs=1e-13)[0] for a, b in pairwise(pieces)))
+
+    assert basis.variance(levels) == pytest.approx(moment(2) - moment(1) ** 2, abs=1e-10)
+
+
 @given(NUMBERS, st.integers(2, 13))
 def test_hats_are_a_partition_and_linear_between_knots(scores: list[float], knots: int) -> None:
     basis, t = normal_basis(knots), np.array(scores)
@@ -42,6 +56,9 @@ def test_the_means_of_choices_are_their_probabilities(weights: list[float]) -> N
     basis = choice_basis(shares.tolist())
     numbers = np.arange(float(len(shares)))
     assert basis.means == pytest.approx(shares @ basis.hats(numbers))
+    function = basis.hats(numbers) @ np.cos(basis.knots)
+    variance = shares @ (function - shares @ function) ** 2
+    assert basis.variance(np.cos(basis.knots)) == pytest.approx(variance, abs=1e-12)
     if len(shares) <= 13:
         assert basis.hats(numbers).tolist() == np.eye(len(shares)).tolist()
 
@@ -50,4 +67,5 @@ def test_one_value_alone_has_one_constant_function() -> None:
     basis = choice_basis([1.0])
     assert basis.means.tolist() == [1.0]
     assert basis.hats(np.zeros(3)).tolist() == [[1.0]] * 3
-    assert Basis(np.array([0.0]), np.array([1.0])).hats(np.array([7.0])).tolist() == [[1.0]]
+    assert basis.hats(np.array([7.0])).tolist() == [[1.0]]
+    assert basis.variance(np.array([5.0])) == 0.0

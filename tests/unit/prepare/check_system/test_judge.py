@@ -22,6 +22,7 @@ from perfbound.orchestrator.prepare.check_system.trials import (
     own_horizon,
 )
 from perfbound.schemas.errors import SimulationError
+from perfbound.schemas.file.disturbance import Normal
 from perfbound.schemas.file.space import Range, Scenarios
 from perfbound.schemas.system import Column, Parameter, SystemSpec
 from perfbound.schemas.system_check import ChildRun, Measured, SampleTimes, Trial
@@ -92,6 +93,36 @@ def test_a_sound_system_passes_every_check() -> None:
 
 def changed(samples: str) -> dict[str, Any]:
     return {"file_sha256": samples, "samples_sha256": samples}
+
+
+@pytest.mark.parametrize(
+    ("uses", "residual", "statuses", "remedies"),
+    [
+        ("both", False, ("passed", "passed"), ("", "")),
+        ("gust", False, ("passed", "warning"), ("", "argument of this name")),
+        ("", False, ("failed", "warning"), ("values declared disturbances", "argument of this name")),
+        ("both seed", False, ("passed", "failed"), ("", "declare the seed as a disturbance")),
+        ("both seed", True, ("passed", "passed"), ("", "")),
+        ("both", True, ("passed", "warning"), ("", "declare residual=False")),
+    ],
+)
+def test_what_is_random_is_what_is_declared(
+    uses: str, residual: bool, statuses: tuple[str, str], remedies: tuple[str, str]
+) -> None:
+    laws = (Normal(0, 1).named("gust", ""), Normal(0, 1).named("load", ""))
+    spec = SPEC.model_copy(update={"disturbances": laws, "residual": residual})
+    trials = Trials.of(spec, {}, variants=("true",), horizon=10.0, seed=3)
+
+    def rule(_process: int, _place: int, trial: Trial) -> dict[str, Any]:
+        gust, load = trial.request.disturbances
+        drawn = {"both": (gust, load), "gust": (gust,)}.get(uses.removesuffix(" seed"), ())
+        return changed(f"{trial.request.x} {drawn} {trial.request.seed if 'seed' in uses else ''}")
+
+    runs = tuple(run(process, plan, rule) for process, plan in enumerate((trials.fresh(), trials.first(0.01))))
+    found = {each.check: each for each in judge(Measurements(spec, runs, 60.0, 4))}
+    for check, status, remedy in zip(("seed", "disturbances"), statuses, remedies, strict=True):
+        assert found[check].status == status, check
+        assert says(found[check].remedy, remedy) if remedy else not found[check].remedy
 
 
 # The rollouts

@@ -160,7 +160,10 @@ def test_few_tests_say_nothing_about_importance() -> None:
 def test_a_histogram_tells_its_variants_and_the_clip() -> None:
     values = RolloutValues()
     rows = [("p", "true", [0, 1], [-2.0, -2.0]), ("p", "true", [2], [0.0]), ("p", "nominal", [2], [3.0])]
-    values.add(AddedValues(*row[:2], np.array(row[2]), np.array(row[3])) for row in [*rows, ("q", "true", [0], [9.0])])
+    values.add(
+        AddedValues(*row[:2], np.array(row[2]), np.zeros(len(row[2]), dtype=np.int64), np.array(row[3]))
+        for row in [*rows, ("q", "true", [0], [9.0])]
+    )
     found = values.histogram("p", (-2.0, 3.0), "m")
     assert found is not None
     nominal, true = found.variants
@@ -184,7 +187,7 @@ def test_a_hundred_thousand_rollouts_fit_in_the_page(tmp_path: Path, no_disk: No
     finish(play(tmp_path, CONFIGS["rigorous"]), tmp_path)
     values = RolloutValues()
     y = np.random.default_rng(4).normal(size=100_000)
-    values.add([AddedValues("p", "true", np.arange(100_000), y)])
+    values.add([AddedValues("p", "true", np.arange(100_000), np.zeros(100_000, dtype=np.int64), y)])
     many = values.histogram("p", None, "m")
     found = importance.of_drawn_tests(np.random.default_rng(5).uniform(size=(100_000, 12)), y)
     report = Collector(tmp_path).refresh()
