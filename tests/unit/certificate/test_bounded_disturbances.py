@@ -1,6 +1,5 @@
 """Campaigns about every disturbance of a set: bounded ones are parameters, and how rare others are is certified."""
 
-import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -26,7 +25,7 @@ from perfbound.schemas.result.certificate import Predicate
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.system import Parameter
 from tests.facts import says
-from tests.fakes.simulators import robustness, simulate, spec, verified
+from tests.fakes.simulators import certificates, robustness, simulate, spec, verified
 from tests.unit.campaign.test_kriging import KRIGING
 
 WINDY = spec(noisy=True).model_copy(
@@ -95,21 +94,15 @@ class TestEveryDisturbanceBounded:
     @pytest.mark.rest
     def test_workers_and_stops_change_no_byte(self, tmp_path: Path) -> None:
         config = a_campaign(EXACT, BOTH, resolution=5, max_tests=20)
-        simulate(tmp_path / "five", config, margin, noisy=True, system=WINDY, workers=5)
-        seen = itertools.count()
-        cut = tmp_path / "cut"
-        assert simulate(cut, config, margin, noisy=True, system=WINDY, stop=lambda _: next(seen) == 12) is None
-        simulate(tmp_path / "cut", config, margin, noisy=True, system=WINDY)
-        one, other = ((tmp_path / name / files.CERTIFICATE).read_bytes() for name in ("five", "cut"))
-        assert one == other
+        assert len(certificates(tmp_path, config, margin, noisy=True, cut_after=12, system=WINDY)) == 1
 
     def test_a_forged_probability_is_found(self, tmp_path: Path) -> None:
         simulate(tmp_path, a_campaign(EXACT, BOTH, resolution=3, max_tests=4), margin, noisy=True, system=WINDY)
         path = tmp_path / files.CERTIFICATE
         found = json.loads(path.read_text())
         found["predicate"]["bounded"]["outside"] /= 2
-        path.write_text(json.dumps(found))
-        assert verified(tmp_path)
+        path.write_text(json.dumps(found, sort_keys=True, indent=1) + "\n")
+        assert verified(tmp_path) == ["claims"]
 
     def test_a_claim_below_0_says_nothing_of_failures(self, tmp_path: Path) -> None:
         def fails(request: RolloutRequest) -> float:
