@@ -78,7 +78,7 @@ def counterexample_words(found: Counterexample, unit: str, units: Mapping[str, s
     start = named_start(found.start, units)
     others = f", the worst of its {found.rollouts:,} rollouts" if found.rollouts > 1 else ""
     margin = margin_words(found.robustness, unit)
-    drawn = f" with {values_words(found.disturbances)}" if found.disturbances else ""
+    drawn = f" ({values_words(found.disturbances)})" if found.disturbances else ""
     words = f"test {found.test:,} violates the specification: robustness {margin} at {start}{drawn}, seed {found.seed}"
     after = _shrunk_words(found, unit, units) + _likeliest_words(found, unit, units)
     return f"{words} (rollout {found.rollout}{others}){after}"

@@ -19,6 +19,9 @@ from perfbound.orchestrator.store.export import table_rows
 from perfbound.schemas.errors import CampaignError
 from perfbound.schemas.file.against_system import as_in_campaign, check_against
 from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.file.problem_models import RigorousProblem
+from perfbound.schemas.file.reader import parse_campaign
+from perfbound.schemas.file.space import Range
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.requests import RequestTemplate
 from perfbound.schemas.result.certificate import Predicate
@@ -87,7 +90,7 @@ class TestEveryDisturbanceBounded:
         assert outside <= found.bounded.outside <= outside + 2e-9
         assert found.bounded.failure_probability == found.bounded.outside
         said = notes(found, 0)
-        assert any("every gust within 3 sd (-6 to 6 m/s) and mass from 0.9 to 1.1 kg" in each for each in said)
+        assert any("every gust within 3 sd (-6 to 6 m/s) and every mass from 0.9 to 1.1 kg" in each for each in said)
         assert any(says(each, "at every start a rollout fails with probability at most 0.0027") for each in said)
         assert not verified(tmp_path)
 
@@ -174,6 +177,29 @@ def test_one_line_says_what_is_wrong_with_a_range(bounded: dict[str, Any], line:
         check_against(a_campaign(EXACT, bounded), system, "file")
     (found,) = str(error.value).splitlines()
     assert line in found
+
+
+FILE = """
+specification = "value >= 0"
+clip = [-1, 1]
+rkhs_norm = 1.0
+alpha = 0.1
+noise_scale = "derived"
+system.name = "any-function"
+space = { z1 = [0, 1], z2 = [0, 1], gust = GUST }
+"""
+
+
+def test_the_short_form_of_a_range_is_one_of_scores() -> None:
+    config = parse_campaign(FILE.replace("GUST", '"within 2.5 sd"').encode(), "file.toml")
+    assert isinstance(config.space, dict)
+    assert config.space["gust"] == Range(low=-2.5, high=2.5, unit="sd")
+    (problem,) = config.problems
+    assert isinstance(problem, RigorousProblem)
+    assert problem.kernel.length_scale == {"z1": 0.5, "z2": 0.5, "gust": 2.5}
+    assert as_in_campaign(WINDY, config).parameters[2] == Parameter(name="gust", unit="sd", low=-2.5, high=2.5)
+    with pytest.raises(CampaignError, match=r'space\.gust: \'within three sd\' is not .* also "within 3 sd"'):
+        parse_campaign(FILE.replace("GUST", '"within three sd"').encode(), "file.toml")
 
 
 def test_a_method_that_draws_disturbances_takes_no_range_of_one() -> None:
