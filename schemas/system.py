@@ -224,11 +224,13 @@ class SystemSpec(Model, metaclass=Written):
         shapes: Iterable[SignalShape] = (),
         laws: Mapping[str, Disturbance] | None = None,
         added: Mapping[str, Parameter] | None = None,
+        *,
+        drawn: bool = False,
     ) -> "SystemSpec":
         """Return the system as a campaign knows it: the knots of its input signals are parameters, and `laws` hold.
 
-        `added` are the disturbances that are parameters, too. Signals that `shapes` does not have get the default
-        shape. The identity stays that of the system.
+        `added` are the disturbances that are parameters, too; `drawn`, whether some starts are drawn with them.
+        Signals that `shapes` does not have get the default shape. The identity stays that of the system.
         """
         given = {each.name: each for each in shapes}
         found = {
@@ -249,7 +251,8 @@ class SystemSpec(Model, metaclass=Written):
             names = tuple(each.name for each in self.disturbances if each.name in added)
             update |= {"parameters": (*parameters, *map(added.__getitem__, names))}
             update |= {"as_parameters": names, "disturbed": self.noisy}
-            if len(names) == len(self.disturbances) and not self.residual:  # nothing is left to chance
+            # Nothing is left to chance.
+            if len(names) == len(self.disturbances) and not (self.residual or drawn):
                 update["noisy"] = ()
         return self.model_copy(update=update) if update else self
 

@@ -146,7 +146,9 @@ class SearchSource:
         assert isinstance(fact, ObservationFact)
         # The worst, not the mean: one rollout below 0 is the counterexample.
         worst = min((each.robustness for each in series.last_rollouts if each.robustness is not None), default=math.inf)
-        self._search.observe(proposal.x, max(-sys.float_info.max, min(worst, sys.float_info.max)))
+        # A drawn start may have a disturbance beyond what a search chooses.
+        x = tuple(np.clip(proposal.x, *self._space.box).tolist())
+        self._search.observe(x, max(-sys.float_info.max, min(worst, sys.float_info.max)))
         if self._plan.is_evidence(fact.test):
             return self._method.observe(proposal, fact.observation)
         # A start that was chosen by the outcomes before it is no sample: the bound is that of the samples so far.

@@ -9,10 +9,13 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from ...schemas.draws.distributions import to_digits, truncated
+from ...schemas.draws.laws import coordinate
 from ...schemas.errors import CampaignError
+from ...schemas.file.disturbance import Disturbance
 from ...schemas.file.parameters import parameter_ranges
 from ...schemas.file.space import Box, Range, StartTable
 from ...schemas.result.facts import Header
+from ...schemas.system import Parameter
 from ..mathematics.sobol import BLOCK as BLOCK_OF_SOBOL
 from ..mathematics.sobol import sobol_blocks
 from .region import Start, condition
@@ -104,8 +107,11 @@ def _transform(header: Header) -> tuple[int, Callable[[Floats], list[Start]]]:
         row = _chosen(space.rows)
         return 1, lambda shares: row(shares[:, 0])
     if isinstance(space, dict):
-        ranges = parameter_ranges(space)
-        return len(ranges), _of_box(ranges, [parameter.name for parameter in header.spec.parameters])
+        ranges, spec = parameter_ranges(space), header.spec
+        columns = [_of_range(each.name, ranges[each.name]) for each in spec.own_parameters]
+        # With a search over disturbances these are part of each start: a drawn one has drawn ones.
+        columns += [_of_law(law) for law in spec.disturbances if law.name in spec.as_parameters]
+        return len(columns), _of_columns(columns)
     raise TypeError("no method that draws its starts takes a list of scenarios")
 
 
@@ -152,9 +158,16 @@ def _chosen(values: Sequence[Value]) -> Callable[[Floats], list[Value]]:
     return lambda shares: [values[min(int(share * len(values)), len(values) - 1)] for share in shares.tolist()]
 
 
-def _of_box(space: Box, names: list[str]) -> Callable[[Floats], list[Start]]:
-    columns = [_of_range(name, space[name]) for name in names]
+def _of_law(law: Disturbance) -> Callable[[Floats], list[float]]:
+    found = coordinate(law)
+    return lambda shares: found(shares).tolist()
 
+
+def _of_box(space: Box, names: list[str]) -> Callable[[Floats], list[Start]]:
+    return _of_columns([_of_range(name, space[name]) for name in names])
+
+
+def _of_columns(columns: Sequence[Callable[[Floats], list[float]]]) -> Callable[[Floats], list[Start]]:
     def starts(shares: Floats) -> list[Start]:
         each = [column(np.ascontiguousarray(shares[:, k])) for k, column in enumerate(columns)]
         return list(zip(*each, strict=True))
@@ -236,8 +249,16 @@ def of_space(header: Header) -> AllowedStarts:
     space = header.config.space
     if not isinstance(space, dict):
         return Listed(np.array(space.rows), numbered=False)
-    ranges = parameter_ranges(space)
-    return Ranges([ranges[each.name] for each in header.spec.parameters])
+    ranges, spec = parameter_ranges(space), header.spec
+    laws = {law.name: law for law in spec.disturbances}
+    return Ranges([ranges.get(each.name) or _range_of(each, laws[each.name]) for each in spec.parameters])
+
+
+def _range_of(parameter: Parameter, law: Disturbance) -> Range:
+    """Return the values of a disturbance that a search may choose."""
+    # Not validated: a law may have one choice alone.
+    choices = None if law.choices is None else tuple(sorted(set(law.choices)))
+    return Range.model_construct(low=parameter.low, high=parameter.high, choices=choices)
 
 
 def _nearest(given: Range) -> Callable[[float], float]:

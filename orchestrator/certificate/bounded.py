@@ -2,6 +2,7 @@
 
 from functools import reduce
 
+from ...schemas.file.against_system import searched
 from ...schemas.file.disturbance import Disturbance
 from ...schemas.result import certificate as document
 from ...schemas.result.facts import Header
@@ -16,7 +17,7 @@ ROUND_OFF = 1e-9
 def bounded_disturbances(header: Header, claim: document.CertificateClaim) -> document.Bounded | None:
     """Return the set that a claim is for; None where no disturbance is bounded."""
     spec = header.spec
-    if not spec.as_parameters:
+    if not spec.as_parameters or searched(header.config):
         return None
     laws = {law.name: law for law in spec.disturbances}
     ranges = spec.parameters[len(spec.own_parameters) :]

@@ -7,10 +7,12 @@ from pathlib import PurePosixPath
 
 from ...schemas.base import digest
 from ...schemas.file.bases import bases
-from ...schemas.ids import FileId
+from ...schemas.ids import FileId, RolloutId
 from ...schemas.result import certificate as document
 from ...schemas.result.facts import DiscardFact, Header
 from ..campaign.bounded_parts import bounded_accounts
+from ..campaign.closing.likeliest import LikeliestFailure
+from ..campaign.closing.shrink import Shrink
 from ..campaign.counterexample import counterexample
 from ..campaign.ledger import Ledger, failed_attempts, observed_rollouts
 from ..store.files import FOLDER
@@ -115,15 +117,17 @@ def _counterexample(ledger: Ledger) -> document.Counterexample | None:
                 rollouts=len(account.last_rollouts),
                 start=dict(zip(account.plan.parameters, account.last_proposal.x, strict=True)),
                 seed=found.seed,
+                disturbances=_values(ledger.header, found.rollout, account.last_proposal.x, found.seed),
                 robustness=found.robustness or 0.0,
                 shrunk=_shrunk(ledger, account.plan.parameters),
+                likeliest=_likeliest(ledger, account.plan.parameters, found.seed),
             )
     return None
 
 
 def _shrunk(ledger: Ledger, parameters: Sequence[str]) -> document.Shrunk | None:
     shrink = ledger.closing.shrink
-    if shrink is None:
+    if not isinstance(shrink, Shrink):
         return None
     start, robustness, rollout = shrink.best
     return document.Shrunk(
@@ -133,6 +137,28 @@ def _shrunk(ledger: Ledger, parameters: Sequence[str]) -> document.Shrunk | None
         rollout=str(rollout),
         rollouts=len(ledger.series[shrink.name].observations),
     )
+
+
+def _likeliest(ledger: Ledger, parameters: Sequence[str], seed: int) -> document.LikeliestFailure | None:
+    sought = ledger.closing.shrink
+    if not isinstance(sought, LikeliestFailure):
+        return None
+    start, robustness, rollout = sought.best
+    return document.LikeliestFailure(
+        start=dict(zip(parameters, start, strict=True)),
+        disturbances=_values(ledger.header, rollout, start, seed),
+        distance=sought.distance,
+        robustness=robustness,
+        rollout=str(rollout),
+        rollouts=len(ledger.series[sought.name].observations),
+    )
+
+
+def _values(header: Header, rollout: RolloutId, start: Sequence[float], seed: int) -> dict[str, float]:
+    """Return the values of the disturbances of a rollout by their names."""
+    drawn = header.template.disturbances(rollout.variant, [start], [seed])
+    names = [law.name for law in header.spec.disturbances]
+    return dict(zip(names, drawn[0], strict=True)) if drawn else {}
 
 
 def _listed(evidence: Manifest) -> list[FileId]:

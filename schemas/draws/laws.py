@@ -103,6 +103,20 @@ def inverse(law: Disturbance) -> Inverse:
     return _rounded(law, _truncated(law))
 
 
+def coordinate(law: Disturbance) -> Inverse:
+    """Return what stands for a law in a start that is drawn with it: its scores, or its choices, for shares (n,)."""
+    if law.choices is not None:
+        return inverse(law)
+    from scipy.special import ndtri  # noqa: PLC0415  (as below)
+
+    def scores(shares: Floats) -> Floats:
+        # As `open_shares`: no score is infinite. Rounded as the values are.
+        inner = (np.floor(shares * 2.0**52) + 0.5) * 2.0**-52
+        return np.array(to_digits(ndtri(inner), -math.inf, math.inf, DIGITS))
+
+    return scores
+
+
 def of_scores(law: Disturbance) -> Inverse:
     """Return the values of a law at scores (n,): normal quantiles of the shares of `inverse`, or numbers of choices.
 

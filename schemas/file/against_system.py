@@ -14,6 +14,8 @@ from .parts import parts_of
 from .problem_models import KernelProblem, Problem, RigorousProblem
 from .space import Range, Scenarios, StartTable
 
+SEARCHED_SCORE = 5.0
+"""Standard deviations within which a search chooses: beyond, a failure is rarer than one in a million rollouts."""
 MOST_SCORE = 6.0
 """Standard deviations that a bounded disturbance reaches at most: a probability beyond is below any known law's."""
 
@@ -26,12 +28,27 @@ def as_in_campaign(spec: SystemSpec, config: CampaignConfig | None) -> SystemSpe
     if config is None:
         return spec.spread()
     ranges = config.space if isinstance(config.space, dict) else {}
-    added = {
-        law.name: Parameter(name=law.name, unit=each.unit or law.unit, low=each.low, high=each.high)
-        for law in spec.disturbances
-        if (each := ranges.get(law.name)) is not None
-    }
-    return spec.spread(signal_shapes(config.space), config.disturbances, added)
+    if sought := searched(config):
+        added = {law.name: searched_range(config.disturbances.get(law.name, law), law) for law in spec.disturbances}
+    else:
+        added = {
+            law.name: Parameter(name=law.name, unit=each.unit or law.unit, low=each.low, high=each.high)
+            for law in spec.disturbances
+            if (each := ranges.get(law.name)) is not None
+        }
+    return spec.spread(signal_shapes(config.space), config.disturbances, added, drawn=sought)
+
+
+def searched(config: CampaignConfig) -> bool:
+    """Whether a search chooses the disturbances of its tests."""
+    return config.falsify is not None and config.falsify.over == "disturbances"
+
+
+def searched_range(law: Disturbance, declared: Disturbance) -> Parameter:
+    """Return a disturbance as a parameter of a search: its scores, or its choices."""
+    if law.choices is not None:
+        return Parameter(name=declared.name, unit=declared.unit, low=min(law.choices), high=max(law.choices))
+    return Parameter(name=declared.name, unit=SCORED, low=-SEARCHED_SCORE, high=SEARCHED_SCORE)
 
 
 def check_against(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
@@ -96,6 +113,8 @@ def _disturbance_faults(config: CampaignConfig, spec: SystemSpec) -> Iterator[st
         elif law.unit not in ("", known[name].unit):
             yield f"disturbances.{name}.unit: {law.unit!r} is not allowed: {spec.name} takes {known[name].unit!r}"
     laws = as_in_campaign(spec.declared, config).disturbances
+    if searched(config) and not (laws and set(rolled_out(config.problems[0].name, spec)) & set(spec.declared.noisy)):
+        yield f"falsify.over: no variant of {spec.name} that is simulated here has disturbances; remove this key"
     if not laws:
         return
     from ..draws.laws import check_law  # noqa: PLC0415  (late: scipy, and numpy for a system without any)

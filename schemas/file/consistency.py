@@ -74,6 +74,8 @@ def _rules_of_claims(config: CampaignKeys) -> Iterator[Callable[[], None]]:
     yield partial(_check_starts_agree, config)
     if config.until_counterexample:
         yield partial(_check_until_counterexample, config, config.problems[0])
+    if config.falsify is not None and config.falsify.over == "disturbances":
+        yield partial(_check_over, config, config.problems[0])
     if config.on_refuted == "stop":
         yield partial(_check_on_refuted, config)
     if config.regions:
@@ -173,6 +175,27 @@ def _check_until_counterexample(config: CampaignKeys, problem: Problem) -> None:
         raise ValueError(
             f"clip: {list(config.clip)} must begin below 0 with until_counterexample, or it hides every violation"
         )
+
+
+def _check_over(config: CampaignKeys, problem: Problem) -> None:
+    """Refuse a search over disturbances whose tests would enter a bound: there they are no sample of their law."""
+    if problem.method != "sample":
+        raise ValueError(
+            f"falsify.over: not for method {problem.method!r}, whose bound takes every test of a search; choose method "
+            "'sample', or give disturbances ranges under [space], such as gust = \"within 3 sd\""
+        )
+    if not isinstance(config.space, dict):
+        raise ValueError("falsify.over: a table of starts has no disturbances; give a range per parameter instead")
+    if config.replicates_of(problem) > 1:
+        raise ValueError(
+            "falsify.over: each test has its own disturbances, and so one rollout; remove replicates, or `over`"
+        )
+    for number, asked in enumerate(drawn_claims(config.claims)):
+        if asked.quantity == "share_of_starts":
+            raise ValueError(
+                f"claims.{number}: an expected robustness needs several rollouts of a start, and with falsify.over "
+                "each has disturbances of its own; remove one of the two"
+            )
 
 
 def _check_on_refuted(config: CampaignKeys) -> None:

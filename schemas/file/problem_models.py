@@ -323,6 +323,19 @@ PROBLEM_MODELS: dict[MethodName, type[_Problem]] = {
 class Falsify(Model):
     """Where tests come from while a start is sought at which the system fails; an empty table takes every default."""
 
+    over: Literal["starts", "disturbances"] = Field(
+        default="starts",
+        exclude_if=lambda over: over == "starts",
+        description="what is chosen: starts, or starts and the declared disturbances together; with method `sample`",
+    )
+    likeliest_tests: int = Field(
+        default=100,
+        ge=0,
+        le=1000,
+        exclude_if=lambda tests: tests == 100,
+        description='with `over = "disturbances"`: most rollouts after the counterexample, towards the likeliest '
+        "disturbances with which the system fails; no claim uses them",
+    )
     random_every: int = Field(
         default=4,
         ge=1,
@@ -353,7 +366,17 @@ class Falsify(Model):
     def _consistent(self) -> "Falsify":
         if self.nominal and not self.shrink:
             raise ValueError("nominal: it is where `shrink` goes; add shrink = true, or remove this key")
+        if self.shrink and self.over == "disturbances":
+            raise ValueError(
+                'shrink: not together with over = "disturbances", after which the likeliest failure is sought; remove '
+                "this key"
+            )
         return self
+
+    @property
+    def later_tests(self) -> int:
+        """Most rollouts after the counterexample."""
+        return self.likeliest_tests if self.over == "disturbances" else self.shrink_tests
 
     def is_random(self, test: int) -> bool:
         """Whether no outcome chooses the start of test `test`: the last of each `random_every`."""

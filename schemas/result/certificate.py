@@ -210,6 +210,17 @@ class Shrunk(Model):
     rollouts: int = Field(description="of the bisection; no claim uses them")
 
 
+class LikeliestFailure(Model):
+    """The failing rollout whose disturbances are likeliest, of those that a search tried; no bound of a probability."""
+
+    start: dict[str, float] = Field(description="with the scores of the disturbances, in sd")
+    disturbances: dict[str, float] = Field(description="their values")
+    distance: float = Field(description="of the scores from the medians: the root of the sum of their squares, in sd")
+    robustness: float = Field(description="below 0")
+    rollout: str = Field(description="the counterexample itself, where no likelier one was found")
+    rollouts: int = Field(description="of this search; no claim uses them")
+
+
 class Counterexample(Model):
     """The worst rollout of the test that ended the campaign, because it violates the specification."""
 
@@ -218,9 +229,19 @@ class Counterexample(Model):
     rollouts: int = Field(description="of this test; where nothing is random, one shows the violation for good")
     start: dict[str, float]
     seed: int
+    disturbances: dict[str, float] = Field(
+        default_factory=dict,
+        exclude_if=lambda values: not values,
+        description="their values, of a system that declares some",
+    )
     robustness: float = Field(description="below 0; clipped, if the campaign has a clip")
     shrunk: Shrunk | None = Field(
         default=None, exclude_if=lambda shrunk: shrunk is None, description="with `falsify.shrink`"
+    )
+    likeliest: LikeliestFailure | None = Field(
+        default=None,
+        exclude_if=lambda likeliest: likeliest is None,
+        description='with `over = "disturbances"` in `falsify`',
     )
 
 

@@ -164,11 +164,17 @@ def simulate(
 
 
 def certificates(
-    directory: Path, config: CampaignConfig, function: Function, *, noisy: bool, cut_after: int
+    directory: Path,
+    config: CampaignConfig,
+    function: Function,
+    *,
+    noisy: bool,
+    cut_after: int,
+    system: SystemSpec | None = None,
 ) -> set[bytes]:
     """Return the certificates of one campaign with one worker, with five, and stopped after a number of rollouts."""
     for name, workers in (("one", 1), ("five", 5)):
-        simulate(directory / name, config, function, noisy=noisy, workers=workers)
+        simulate(directory / name, config, function, noisy=noisy, workers=workers, system=system)
     seen = 0
 
     def stop(_: RolloutRequest) -> bool:
@@ -176,8 +182,8 @@ def certificates(
         seen += 1
         return seen == cut_after
 
-    assert simulate(directory / "cut", config, function, noisy=noisy, stop=stop) is None
-    simulate(directory / "cut", config, function, noisy=noisy)
+    assert simulate(directory / "cut", config, function, noisy=noisy, stop=stop, system=system) is None
+    simulate(directory / "cut", config, function, noisy=noisy, system=system)
     return {(directory / name / files.CERTIFICATE).read_bytes() for name in ("one", "five", "cut")}
 
 

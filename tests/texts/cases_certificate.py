@@ -13,12 +13,22 @@ from rich.console import Console
 
 from perfbound.orchestrator.certificate.words.control_text import control_sentence
 from perfbound.orchestrator.certificate.words.known_text import verdict_lines
+from perfbound.orchestrator.certificate.words.refutation_text import counterexample_words
 from perfbound.orchestrator.certificate.words.text import notes
 from perfbound.orchestrator.cli.result import print_end, print_everything
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.run.directory import finished_certificate
 from perfbound.orchestrator.store.read import stored_header
-from perfbound.schemas.result.certificate import Assumption, MostStarts, Rollouts, SpotCheck
+from perfbound.schemas.result.certificate import (
+    Assumption,
+    Bounded,
+    BoundedDisturbance,
+    Counterexample,
+    LikeliestFailure,
+    MostStarts,
+    Rollouts,
+    SpotCheck,
+)
 from perfbound.schemas.result.known import CampaignVerdict
 from perfbound.schemas.rollout import RolloutRequest
 from tests.fakes.simulators import noise, robustness, simulate
@@ -84,6 +94,7 @@ def claims(folder: Path) -> Cases:
             f"a control, {bound} without it: {parts}",
             control_sentence(test_sensitivity.a_claim().claims[0], bound, [result]),
         )
+    yield from _disturbances()
     yield from _confidence()
     assumptions = (
         Assumption(id="rkhs_norm/maximum", status="refuted", detail="B is wrong."),
@@ -91,6 +102,35 @@ def claims(folder: Path) -> Cases:
         Assumption(id="clip/maximum", status="derived", detail="in [bold] :warning: [/]"),
     )
     yield "a refuted claim", "\n".join(test_text.printed(test_text.a_certificate(*assumptions)))
+
+
+def _disturbances() -> Cases:
+    """Yield what is said of bounded disturbances, and of the likeliest failure."""
+    gust = BoundedDisturbance(name="gust", low=-3, high=3, unit="sd", values=(-6, 6), unit_of_values="m/s")
+    mass = BoundedDisturbance(name="mass", low=0.9, high=1.1, unit="kg", values=(0.9, 1.1), unit_of_values="kg")
+    for each, safe in (((gust,), None), ((gust, mass), 0.0026998)):
+        bounded = Bounded(disturbances=each, outside=0.0026998, failure_probability=safe)
+        found = test_sensitivity.a_claim().model_copy(update={"bounded": bounded})
+        yield f"bounded: {', '.join(one.name for one in each)}", "\n".join(notes(found, 0))
+    near = LikeliestFailure(
+        start={"speed": 30.0, "gust": 2.9},
+        disturbances={"gust": 5.8},
+        distance=2.9,
+        robustness=-0.001,
+        rollout="shrink.47.nominal.0",
+        rollouts=75,
+    )
+    counterexample = Counterexample(
+        rollout="robustness.2.nominal.0",
+        test=2,
+        rollouts=1,
+        start={"speed": 30.0, "gust": 4.5},
+        disturbances={"gust": 9.0},
+        seed=7,
+        robustness=-0.25,
+        likeliest=near,
+    )
+    yield "the likeliest failure", counterexample_words(counterexample, "m", {"speed": "m/s", "gust": "sd"})
 
 
 def _confidence() -> Cases:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 
+from ....schemas.file.against_system import searched
 from ....schemas.ids import RECHECK, RolloutId, closing_check
 from ....schemas.result.facts import Header, first_link
 from .. import state
@@ -13,12 +14,13 @@ from ..observation import Observer
 from ..plan import ProblemPlan
 from ..ports import Recorded
 from ..series import Account, Series
+from .likeliest import LikeliestFailure
 from .recheck import Recheck
 from .risk_check import RiskCheck
 from .shrink import Shrink
 from .spot_check import SpotCheck, SpotSeries, spot_check_plan
 
-Check = SpotCheck | RiskCheck | Shrink | Recheck
+Check = SpotCheck | RiskCheck | Shrink | LikeliestFailure | Recheck
 
 
 class ClosingChecks:
@@ -36,7 +38,7 @@ class ClosingChecks:
         self._observer, self._recorded = observer, recorded
         self.spot_check: SpotCheck | None = None
         self.risk_check: RiskCheck | None = None
-        self.shrink: Shrink | None = None
+        self.shrink: Shrink | LikeliestFailure | None = None
         self.recheck: Recheck | None = None
         self._rechecks: dict[str, Recheck] = {}
         """Those of before the extensions as well."""
@@ -92,17 +94,18 @@ class ClosingChecks:
             return None
         return RiskCheck.of(self._header, spot, len(series[spot.name].observations), self._extensions)
 
-    def _shrink(self) -> Shrink | None:
-        """Return the bisection of the counterexample; None without one, and where nothing is left to try."""
-        falsify = self._header.config.falsify
-        if falsify is None or not falsify.shrink:
+    def _shrink(self) -> Shrink | LikeliestFailure | None:
+        """Return what follows a counterexample; None without one, and where nothing is left to try."""
+        falsify, over = self._header.config.falsify, searched(self._header.config)
+        if falsify is None or not (falsify.shrink or over):
             return None
         (account,) = self._accounts.values()  # a search is for one problem
         found = counterexample(account)
         if found is None:
             return None
         assert account.last_proposal is not None
-        shrink = Shrink(self._header, found, account.last_proposal.x, self._observer)
+        sought = LikeliestFailure if over else Shrink
+        shrink = sought(self._header, found, account.last_proposal.x, self._observer)
         return shrink if shrink.plan.max_tests else None
 
     def original(self, rollout: RolloutId) -> RolloutId | None:

@@ -78,8 +78,22 @@ def counterexample_words(found: Counterexample, unit: str, units: Mapping[str, s
     start = named_start(found.start, units)
     others = f", the worst of its {found.rollouts:,} rollouts" if found.rollouts > 1 else ""
     margin = margin_words(found.robustness, unit)
-    words = f"test {found.test:,} violates the specification: robustness {margin} at {start}, seed {found.seed}"
-    return f"{words} (rollout {found.rollout}{others}){_shrunk_words(found, unit, units)}"
+    drawn = f" ({values_words(found.disturbances)})" if found.disturbances else ""
+    words = f"test {found.test:,} violates the specification: robustness {margin} at {start}{drawn}, seed {found.seed}"
+    after = _shrunk_words(found, unit, units) + _likeliest_words(found, unit, units)
+    return f"{words} (rollout {found.rollout}{others}){after}"
+
+
+def _likeliest_words(found: Counterexample, unit: str, units: Mapping[str, str] | None) -> str:
+    """Return the likeliest failure that was found after a counterexample; empty where it was not sought."""
+    near = found.likeliest
+    if near is None:
+        return ""
+    where = f"{named_start(near.start, units)} ({values_words(near.disturbances)})"
+    return (
+        f"; the likeliest failure of {counted(near.rollouts, 'further rollout')} is {near.distance:.2f} sd from the "
+        f"medians: {where}, robustness {margin_words(near.robustness, unit)} (rollout {near.rollout})"
+    )
 
 
 def _shrunk_words(found: Counterexample, unit: str, units: Mapping[str, str] | None) -> str:
@@ -94,6 +108,15 @@ def _shrunk_words(found: Counterexample, unit: str, units: Mapping[str, str] | N
         f"{named_start(near.start, units)}, robustness {margin_words(near.robustness, unit)} (rollout {near.rollout})"
     )
     return f"; on the line there, with this seed, the failing start next to one that passes, after {tried}: {where}"
+
+
+def values_words(disturbances: Mapping[str, float]) -> str:
+    """Return the values of disturbances.
+
+    >>> values_words({"gust": 5.80000001, "mass": 1.0})
+    'gust = 5.8, mass = 1'
+    """
+    return ", ".join(f"{name} = {value:.4g}" for name, value in disturbances.items())
 
 
 def margin_words(robustness: float, unit: str) -> str:

@@ -250,9 +250,11 @@ def notes(predicate: Predicate, number: int) -> tuple[str, ...]:
 def _bounded_words(bounded: Bounded) -> list[str]:
     """Return what the set of bounded disturbances is, and what a claim for all of it implies, in a sentence each."""
     each = list(map(_range_words, bounded.disturbances))
-    which, it = (each[0], "it") if len(each) == 1 else (f"{', '.join(each[:-1])} and {each[-1]}", "all of them")
+    here = "it in this range" if len(each) == 1 else "all of them in these ranges"
     inside = outward(1.0 - bounded.outside, ">=")
-    found = [f"The claim is for every {which}; a rollout has {it} in this range with probability at least {inside}."]
+    found = [
+        f"The claim is for every {' and every '.join(each)}; a rollout has {here} with probability at least {inside}."
+    ]
     if bounded.failure_probability is not None:
         share = outward(bounded.failure_probability, "<=")
         found.append(

@@ -16,7 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ....schemas.errors import PerfboundError, Stopped, TrajectoryError
-from ....schemas.file.against_system import as_in_campaign, check_against
+from ....schemas.file.against_system import as_in_campaign, check_against, searched
 from ....schemas.rollout import RolloutRequest
 from ....schemas.system import SystemSpec, Variant
 from ....schemas.system_check import ChildRun, Trial
@@ -100,7 +100,7 @@ def checked_system(
         space=None if config is None else config.space,
     )
     # A condition on bounded disturbances is none on the starts of a system.
-    if config is not None and config.where is not None and not bounded:
+    if config is not None and config.where is not None and (not bounded or searched(config)):
         trials = replace(trials, where=config.where)
     program = config is not None and config.system.program is not None
     folder = ("--folder", str(Path(reference).absolute().parent)) if program else ()

@@ -9,6 +9,7 @@ def ranges(header: Header) -> dict[str, tuple[float, float]]:
     space, parameters = header.config.space, header.spec.parameters
     if isinstance(space, dict):
         boxes = parameter_ranges(space)
-        return {each.name: (boxes[each.name].low, boxes[each.name].high) for each in parameters}
+        # A disturbance that a search chooses has the range of the search.
+        return {each.name: ((box := boxes.get(each.name, each)).low, box.high) for each in parameters}
     columns = zip(*space.rows, strict=True)
     return {each.name: (min(values), max(values)) for each, values in zip(parameters, columns, strict=True)}

@@ -81,7 +81,7 @@ def progress_table(
         most = {
             SPOT_CHECK: config.spot_check + config.spot_check_followups,
             RISK_CHECK: config.spot_check_followups,
-            SHRINK: config.falsify.shrink_tests if config.falsify else 0,
+            SHRINK: config.falsify.later_tests if config.falsify else 0,
             RECHECK: config.recheck,
         }[closing_check(name) or name]
         end = "ended" if progress.stopped_by else f"of at most {most:,} tests"
