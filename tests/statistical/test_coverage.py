@@ -17,6 +17,8 @@ from perfbound.orchestrator.mathematics.bounds.composition import compose_mean
 from perfbound.orchestrator.mathematics.bounds.rigorous.confidence import scales_squared
 from tests.studies.coverage import composition, kriging, rigorous, sampling, scenario
 from tests.studies.coverage.composition import Composition
+from tests.studies.coverage.controls import campaigns as controls
+from tests.studies.coverage.controls.campaigns import Bounds, Controls
 from tests.studies.coverage.kriging import Kriging, KrigingAudit
 from tests.studies.coverage.oracle import allowed
 from tests.studies.coverage.page import Found
@@ -88,6 +90,14 @@ def test_the_audit_of_kriging_needs_no_noise_to_find_a_norm_that_is_half_the_rig
     """Where all of its weights are cut, it keeps the signs of the coefficients alone, and finds a third of them."""
     found = together(kriging.campaign, KrigingAudit("nearly exact", small_b=2.0, spread=0.006), 20)
     assert found["refuted"] > 12
+
+
+@pytest.mark.parametrize(
+    ("bounds", "disturbances"), [("kriging", "explain nothing"), ("scenario", "two values"), ("risk", "two values")]
+)
+def test_an_understated_delta_with_a_control_is_noticed(bounds: Bounds, disturbances: str) -> None:
+    row = Controls(bounds, disturbances)
+    assert together(controls.campaign, row, 50, told=0.9)["lower"] > allowed(50, row.claimed)
 
 
 def test_an_understated_delta_of_scenarios_is_noticed() -> None:

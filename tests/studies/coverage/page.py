@@ -26,6 +26,7 @@ JUDGED: dict[str, tuple[str, ...]] = {
     "regions": ("failed",),
     "requirements": ("every", "first", "last"),
     "kriging": ("sum", "bound", "refuted"),
+    "controls": ("lower", "upper"),
     "audit": ("refuted", "spread"),
     "kriging-audit": ("bound", "refuted"),
     "paper": (),
@@ -231,6 +232,20 @@ TABLES: dict[str, tuple[str, list[Column]]] = {
             ("mean loss of ell", _mean("width", 3)),
         ],
     ),
+    "controls": (
+        "Bounds with a control of declared disturbances: campaigns in which a statement was ever false",
+        [
+            ("bounds of", lambda found: found.row.bounds),
+            ("disturbances", lambda found: found.row.disturbances),
+            ("claimed delta", _claimed),
+            CAMPAIGNS,
+            ("bound", _sum("lower")),
+            ("other side", _sum("upper")),
+            *RULED,
+            ("control at the end", _share("used")),
+            ("mean loss", _mean("width", 4)),
+        ],
+    ),
     "audit": (
         "The audit of `rigorous`: false alarms in the rows with B and R right, power in the others",
         [
@@ -380,6 +395,8 @@ NAMES = {
     ("kriging", "sum"): "sum of rollouts",
     ("kriging", "bound"): "bound",
     ("kriging", "refuted"): "false alarm about B",
+    ("controls", "lower"): "bound",
+    ("controls", "upper"): "bound from the other side",
     ("audit", "refuted"): "false alarm about B",
     ("audit", "spread"): "false alarm about R",
     ("kriging-audit", "bound"): "bound",

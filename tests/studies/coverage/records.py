@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Protocol
 
 ROOT = Path(__file__).parents[3]
 DIRECTORY = Path("build/coverage")
-MODULES = {"audit": "rigorous", "kriging-audit": "kriging"}
+MODULES = {"audit": "rigorous", "kriging-audit": "kriging", "controls": "controls.campaigns"}
 """Module of the campaigns of a kind, if it is not the module of its name."""
 
 Chunk = dict[str, list[float]]

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from tests.studies.coverage import composition, kriging, paper, regions, requirements, rigorous, sampling, scenario
+from tests.studies.coverage.controls import campaigns as controls
 from tests.studies.coverage.records import Chunk, Row, digest
 
 CHUNK = 50
@@ -19,6 +20,7 @@ CAMPAIGNS: dict[str, Callable[[Any, np.random.Generator], dict[str, float]]] = {
     "regions": regions.campaign,
     "requirements": requirements.campaign,
     "kriging": kriging.campaign,
+    "controls": controls.campaign,
     "audit": rigorous.audited,
     "kriging-audit": kriging.campaign,
     "paper": paper.campaign,
@@ -35,6 +37,7 @@ def all_rows() -> list[Row]:
         regions.rows,
         requirements.rows,
         kriging.rows,
+        controls.rows,
         rigorous.audits,
         kriging.audits,
         paper.rows,

@@ -78,6 +78,13 @@ GROUPS: dict[str, Group] = {
         ("sum", "bound", "falsely refuted"),
         _number("mean loss of ell"),
     ),
+    "controls": Group(
+        "control, disturbances",
+        lambda line: line["disturbances"],
+        "bound",
+        ("bound", "other side"),
+        _number("mean loss"),
+    ),
     "scenario": Group(
         "`scenario`",
         lambda line: line["distribution"],

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from itertools import product
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -16,6 +17,8 @@ from scipy.stats import binom
 from sklearn.gaussian_process.kernels import Matern
 
 from tests.studies.coverage import bounded, functions, laws, noises, oracle, page, records, run, spot_page, summary
+from tests.studies.coverage.controls import disturbed
+from tests.studies.coverage.controls.campaigns import Bounds, Controls
 from tests.studies.coverage.kriging import Kriging
 from tests.studies.coverage.records import Row
 from tests.studies.coverage.regions import Region
@@ -24,7 +27,7 @@ from tests.studies.coverage.rigorous import Audit
 from tests.studies.coverage.scenario import Scenario
 from tests.studies.coverage.study import CHUNK, all_rows, one_chunk
 
-PURE = (functions, noises, bounded, laws, oracle)
+PURE = (functions, noises, bounded, laws, disturbed, oracle)
 ALLOWED = {"numpy", "scipy", "sklearn"} | set(sys.stdlib_module_names)
 
 
@@ -95,6 +98,18 @@ def test_moments_of_a_law_are_those_of_its_draws(law: laws.Law) -> None:
     assert law.linearised <= law.mean - laws.RISK_WEIGHT * math.sqrt(law.weights @ (law.atoms - law.mean) ** 2) + 1e-12
 
 
+@pytest.mark.parametrize("name", disturbed.DISTURBED)
+def test_disturbed_rollouts_are_in_the_range_and_have_their_moments(name: str) -> None:
+    rng, law = np.random.default_rng(6), disturbed.DISTURBED[name]
+    for side in (1, -1):
+        draws = law.value(disturbed.draw(rng, 20_000), rng, side)
+        assert draws.min() >= 0.0
+        assert draws.max() <= 1.0
+        assert abs(draws.mean() - disturbed.MEAN) < 5 * draws.std() / math.sqrt(len(draws))
+        assert abs(draws.std() / law.law.std() - 1) < 0.05
+    assert abs(law.law.mean() - disturbed.MEAN) < 1e-6
+
+
 def test_the_extreme_law_has_the_risk_that_is_taken_for_true() -> None:
     draws = laws.draw_extremes(np.random.default_rng(3), 0.5, 50_000)
     assert set(draws) == set(laws.CLIP)
@@ -145,6 +160,8 @@ def test_the_design_has_every_level() -> None:
     weighted = [row for row in rows if type(row) is Kriging]
     assert {row.noise for row in weighted} == set(bounded.BOUNDED)
     assert {(row.flat, row.order) for row in weighted} == set(product((False, True), ("planned", "where lowest")))
+    controlled = {(row.bounds, row.disturbances) for row in rows if isinstance(row, Controls)}
+    assert controlled == set(product(get_args(Bounds), disturbed.DISTURBED))
     assert {(row.dimension, row.flat) for row in rows if isinstance(row, Region)} == {
         (1, True),
         (1, False),
