@@ -313,8 +313,8 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "gave the same trajectory: a batch does not follow from its seeds, and no one can repeat the evidence.",
         "not refuted": "the batch is what the system repeats, and no rollout alone: {rechecked} recorded rollouts, "
         "drawn after all others were fixed, were simulated once more, each in its whole batch, and all of them gave "
-        "the same trajectory; up to {percent} % of all rollouts could differ unseen (confidence 0.95). What a simulator "
-        "draws once, when its process starts, is seen only where another process repeats the batch.",
+        "the same trajectory; up to {percent} % of all rollouts could differ unseen (confidence 0.95). What a "
+        "simulator draws once, when its process starts, is seen only where another process repeats the batch.",
         "assumed": "the batch is what the system repeats, and no rollout alone; none was simulated once more, so "
         "nothing shows whether a batch follows from its seeds.",
     },
