@@ -12,14 +12,12 @@ from ...schemas.places import short_path
 from ...schemas.result.certificate import Certificate
 from ...schemas.result.facts import Header
 from ...schemas.result.known import CampaignVerdict
-from ..campaign.seeds import rollout_seed
 from ..certificate.words import text
 from ..certificate.words.bound_text import parameter_units
 from ..certificate.words.console_lines import hanging, heading, plain_line
 from ..certificate.words.format import replay_command
 from ..certificate.words.known_text import COLOURS, verdict_lines
 from ..certificate.words.region_text import region_sentences
-from ..report.rollout.disturbances import each_in_words
 from ..run.known import system_file, verdict_of
 from ..store.export_tables import robustness_unit
 
@@ -120,6 +118,10 @@ def _worst_disturbances(header: Header, rollout: str | None) -> list[str]:
     """Return the disturbances of a rollout that are furthest out."""
     if rollout is None or not header.spec.disturbances:
         return []
+    # Late: `status` needs no numerical library.
+    from ..campaign.seeds import rollout_seed  # noqa: PLC0415
+    from ..report.rollout.disturbances import each_in_words  # noqa: PLC0415
+
     worst = RolloutId.parse(rollout)
     return each_in_words(header, worst.variant, rollout_seed(header, worst), MOST_DISTURBANCES)
 
