@@ -147,8 +147,8 @@ def check_where(space: Box, where: str, source: str) -> None:
         if inside >= LEAST_SHARE * points:
             return  # whatever the other points are; most regions need one block
     raise CampaignError(
-        f"{source}: space.where: holds at {inside} of {points} starts of the ranges, less than 1 in "
-        f"{1 / LEAST_SHARE:.0f}; fix the condition, or choose narrower ranges"
+        f"{source}: space.where: holds at {inside:,} of {points:,} starts of the ranges, less than 1 in "
+        f"{1 / LEAST_SHARE:,.0f}; fix the condition, or choose narrower ranges"
     )
 
 

@@ -118,8 +118,9 @@ def _worst_disturbances(header: Header, rollout: str | None) -> list[str]:
     """Return the disturbances of a rollout that are furthest out."""
     if rollout is None or not header.spec.disturbances:
         return []
-    from ..campaign.seeds import rollout_seed  # noqa: PLC0415  (numpy, which `status` loads for no other campaign)
-    from ..report.rollout.disturbances import each_in_words  # noqa: PLC0415  (as above)
+    # Late: `status` needs no numerical library.
+    from ..campaign.seeds import rollout_seed  # noqa: PLC0415
+    from ..report.rollout.disturbances import each_in_words  # noqa: PLC0415
 
     worst = RolloutId.parse(rollout)
     return each_in_words(header, worst.variant, rollout_seed(header, worst), MOST_DISTURBANCES)

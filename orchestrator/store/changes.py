@@ -1,5 +1,6 @@
 """The rows that were added to a campaign database since the last call; nothing stays open between two calls."""
 
+import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -9,6 +10,7 @@ import sqlalchemy as sa
 from sqlalchemy import Connection
 
 from ...schemas.errors import JournalError
+from ...schemas.ids import RolloutId, rollout_at
 from ...schemas.ranges import within_seconds
 from ...schemas.result.block_facts import (
     BatchFact,
@@ -51,6 +53,13 @@ _COUNTS = (
     .group_by(_rollouts.problem)
 )
 _WORKERS = sa.text(ROLLOUTS_OF_WORKERS).bindparams(recorded=RECORDED)
+# The worker beside max(...) is that of its row, as in the query above: of what was recorded again the last one.
+_IN_BATCHES = sa.text("""
+    SELECT problem, test, variant, replicate, replicates, failures, worker, max(attempt) AS attempt, outcomes.ended
+    FROM rollouts CROSS JOIN outcomes WHERE seq > :since AND rollouts < places AND outcome = :recorded
+    AND rollout = problem || '.' || test || '.' || variant || '.' || replicate || '.' || places
+    GROUP BY seq ORDER BY seq
+""").bindparams(recorded=RECORDED)
 _VIOLATIONS = sa.select(tables.rollouts).where(_rollouts.seq > _SINCE, _rollouts.robustness < 0).order_by(_rollouts.seq)
 # A row has the rollouts of one test, or of the tests of a batch: a view of each test would expand every one of them.
 _OF_TEST = (
@@ -201,6 +210,7 @@ class ChangeReader:
             of_workers = {row[0]: row[1] for row in connection.execute(_WORKERS, seq)}
             violations = connection.execute(_VIOLATIONS, seq).all()
             outcomes = connection.execute(_OUTCOMES, {"since": self._ended}).all()
+            in_batches = connection.execute(_IN_BATCHES, seq).all() if header.config.batch > 1 else []
             hosts = connection.execute(_HOSTS, {"since": self._started}).all()
             sessions = connection.execute(_SESSIONS).all()
             opinions = connection.execute(_OPINIONS, {"since": self._compared}).all()
@@ -212,7 +222,7 @@ class ChangeReader:
             {row.problem: row.number for row in counts},
             of_workers,
             tuple(fact for row in violations for fact in _rollouts_of(row, self._directory, each_violation)),
-            tuple(_ended_attempt(row) for row in outcomes),
+            (*map(_ended_attempt, outcomes), *(each for row in in_batches for each in _failed_in_batch(row))),
             {row.worker: row.host for row in hosts},
             tuple(Session(*row) for row in sessions),
             tuple(ComparedResult(*row[1:]) for row in opinions),
@@ -271,6 +281,15 @@ def proposal_in(connection: Connection, directory: Path, problem: str, test: int
     fact = _fact(tables.tests, row, directory)
     proposed: ProposalFact = fact.of_test(test) if isinstance(fact, BlockProposalFact) else fact
     return proposed.proposal
+
+
+def _failed_in_batch(row: Any) -> Iterator[AttemptOutcome]:
+    """Yield the rollouts that failed in a recorded batch, each as an attempt of its own."""
+    first = RolloutId(row.problem, row.test, row.variant, row.replicate)
+    for place, reason in json.loads(row.failures):
+        rollout = str(rollout_at(first, place, row.replicates))
+        # The attempt at the batch has its seconds.
+        yield AttemptOutcome(rollout, row.attempt, row.worker, str(reason), row.ended, 0.0, 0.0, "system")
 
 
 def _ended_attempt(row: Any) -> AttemptOutcome:

@@ -46,7 +46,7 @@ _WORDS = {
     ("claims", "composed", "problems"): f"a list of one or two of {any_of(tuple(OBJECTIVES))}",
     ("space", "choices"): f"a list of 2 to {MAX_CHOICES} numbers",
     ("space", "scenarios"): "a list of starting conditions, or the name of a CSV file",
-    ("space", "table"): f"the name of a CSV file with 1 to {MAX_TABLE} rows, or its rows",
+    ("space", "table"): f"the name of a CSV file with 1 to {MAX_TABLE:,} rows, or its rows",
     ("system", "program"): 'a list of texts: ["./NAME", "ARGUMENT"]',
     ("system", "files"): 'a list of paths: ["policy.pt", "tables/*.csv"]',
     ("system", "columns"): 'a table with the unit of every column in quotes: { distance = "m" }',

@@ -160,8 +160,8 @@ def _csv_rows(name: str, key: str, most: int, beside: Beside | None) -> tuple[li
                 f"{where}: row {number} is {','.join(row)[:80]!r}; allowed are numbers, one start a row"
             )
     if not 0 < len(rows) <= most:
-        count = f"more than {most} starts" if rows else "no start"
-        raise CampaignError(f"{where}: {count}; allowed are 1 to {most} rows of numbers")
+        count = f"more than {most:,} starts" if rows else "no start"
+        raise CampaignError(f"{where}: {count}; allowed are 1 to {most:,} rows of numbers")
     return header, [[number_in(cell) for cell in row] for row in rows]
 
 

@@ -208,7 +208,7 @@ class Range(Distributed):
             raise ValueError(f"low: {self.low:g} must be less than high = {self.high:g}")
         if self.step is not None and not 1 <= self.steps <= MAX_STEPS:
             raise ValueError(
-                f"step: {self.step:g} is not allowed: allowed are 1 to {MAX_STEPS} steps from {self.low:g} to "
+                f"step: {self.step:g} is not allowed: allowed are 1 to {MAX_STEPS:,} steps from {self.low:g} to "
                 f"{self.high:g}"
             )
         if self.step is not None and abs(self.steps * self.step - (self.high - self.low)) > 1e-9 * self.step:

@@ -347,7 +347,7 @@ class Recheck(Model):
     rollouts: int
     agreed: int = Field(description="rollouts that gave the same trajectory, bit by bit")
     unseen_share: float = Field(
-        description="if a larger share of all rollouts were irreproducible, the recheck would have shown it with .95"
+        description="if a larger share of all rollouts were irreproducible, the recheck would have shown it with 0.95"
     )
 
 

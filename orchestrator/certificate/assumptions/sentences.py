@@ -304,7 +304,7 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "the same trajectory: a rollout does not follow from its seed, and no one can repeat the evidence.",
         "not refuted": "{rechecked} recorded rollouts, drawn after all others were fixed, were simulated once more "
         "with their seeds, and all of them gave the same trajectory; up to {percent} % of all rollouts could differ "
-        "unseen (confidence .95). What a simulator draws once, when its process starts, is seen only where another "
+        "unseen (confidence 0.95). What a simulator draws once, when its process starts, is seen only where another "
         "process repeats the rollout.",
         "assumed": "no rollout was simulated once more, so nothing shows whether a rollout follows from its seed.",
     },
@@ -313,8 +313,8 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "gave the same trajectory: a batch does not follow from its seeds, and no one can repeat the evidence.",
         "not refuted": "the batch is what the system repeats, and no rollout alone: {rechecked} recorded rollouts, "
         "drawn after all others were fixed, were simulated once more, each in its whole batch, and all of them gave "
-        "the same trajectory; up to {percent} % of all rollouts could differ unseen (confidence .95). What a simulator "
-        "draws once, when its process starts, is seen only where another process repeats the batch.",
+        "the same trajectory; up to {percent} % of all rollouts could differ unseen (confidence 0.95). What a "
+        "simulator draws once, when its process starts, is seen only where another process repeats the batch.",
         "assumed": "the batch is what the system repeats, and no rollout alone; none was simulated once more, so "
         "nothing shows whether a batch follows from its seeds.",
     },
@@ -382,7 +382,7 @@ SENTENCES: dict[str, dict[Status, str]] = {
     "second_opinion": {
         "not refuted": "{chosen} % of the rollouts, drawn from the seed, were simulated twice, by two workers where "
         "there were two: {compared} were compared and {agreed} agree bit by bit; up to {percent} % of all rollouts "
-        "could be false unseen (confidence .95), if no two results of a rollout are false alike, be they of two "
+        "could be false unseen (confidence 0.95), if no two results of a rollout are false alike, be they of two "
         "workers or of one that was alone, and no worker knows which rollouts are compared.",
         "assumed": "{chosen} % of the rollouts should have been simulated twice, but the draw chose {compared}: the "
         "trajectories that the workers send are assumed to come from the simulator.",
@@ -390,7 +390,7 @@ SENTENCES: dict[str, dict[Status, str]] = {
     "second_opinion_in_batches": {
         "not refuted": "{chosen} % of the batches, and of the rollouts in none, drawn from the seed, were simulated "
         "twice, by two workers where there were two: {compared} were compared and {agreed} agree bit by bit; up to "
-        "{percent} % of all rollouts could be false unseen (confidence .95), if no two results are false alike, be "
+        "{percent} % of all rollouts could be false unseen (confidence 0.95), if no two results are false alike, be "
         "they of two workers or of one that was alone, and no worker knows which are compared.",
         "assumed": "{chosen} % of the batches should have been simulated twice, but the draw chose {compared}: the "
         "trajectories that the workers send are assumed to come from the simulator.",

@@ -161,5 +161,5 @@ def finding(again: tuple[Resimulation, ...], total: int) -> str:
     percent = math.ceil(1000 * unseen_share(count, 0.05)) / 10
     return (
         f"{count:,} of {total:,} {what}, {how}: workers_honest is sampled; if more than {percent:g} % were false, "
-        "this check would fail with probability at least .95"
+        "this check would fail with probability at least 0.95"
     )

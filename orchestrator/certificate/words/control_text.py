@@ -32,6 +32,24 @@ def control_sentence(claim: CertificateClaim, without: float | None, problems: I
     return f"{subject} {explain}; without a control the same tests prove {before}."
 
 
+MOST = 6
+"""Disturbances in a line."""
+
+
+def control_line(control: ControlResult) -> str:
+    """Return the sensitivity to each disturbance, the largest first.
+
+    >>> gust = {"name": "gust", "standard_deviation": 0.1, "knots": (), "levels": ()}
+    >>> control_line(ControlResult(explained=0.9, standard_deviation=0.033, before_fit=32, disturbances=(gust,)))
+    'control: the standard deviation that it takes out is 0.1 for gust; 0.033 is left'
+    """
+    found = sorted(control.disturbances, key=lambda each: -each.standard_deviation)
+    parts = [f"{each.standard_deviation:.3g} for {each.name}" for each in found[:MOST]]
+    more = f", less for {len(found) - MOST:,} more" if len(found) > MOST else ""
+    left = f"{control.standard_deviation:.3g} is left"
+    return f"control: the standard deviation that it takes out is {', '.join(parts)}{more}; {left}"
+
+
 def percent(share: float) -> str:
     """Return a share in percent, rounded down: only all is 100.
 

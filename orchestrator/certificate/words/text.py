@@ -32,7 +32,7 @@ from ...campaign.clip import SAME, floored, is_vacuous
 from ..assumptions.sentences import title, value_text
 from .bound_text import chance, clip_words, in_unit, margin_text, outward, short_chance, start_words, with_named_starts
 from .console_lines import hanging, heading, plain_line
-from .control_text import control_sentence
+from .control_text import control_line, control_sentence
 from .refutation_text import counterexample_words, refutation_sentence, risk_sentence
 from .region_text import region_sentences
 
@@ -450,6 +450,8 @@ def _problem(problem: ProblemResult, console: Console) -> None:
     counts = ((problem.rollouts.nominal, "nominal"), (problem.rollouts.true, "true"))
     rollouts = (" and ".join(f"{number:,} {variant}" for number, variant in counts if number) or "no") + " rollouts"
     plain_line(console, f"    {problem.tests:,} tests with {rollouts}")
+    if problem.control is not None:
+        plain_line(console, f"    {control_line(problem.control)}")
     planned = problem.method in PLANNED and problem.stopped_by != "refuted"
     as_planned = problem.stopped_by == "converged" or planned
     plain_line(console, f"    {end}", "" if as_planned else "yellow")

@@ -169,7 +169,7 @@ def test_the_share_of_the_region_is_checked_at_load() -> None:
     for where, count in (("x > 0.999", 51), ("x > 2", 0)):
         with pytest.raises(CampaignError) as error:
             check_where(BOX, where, "c.toml")
-        assert says(str(error.value), f"^c.toml: space.where: {count} 102400 less 1 1000")
+        assert says(str(error.value), f"^c.toml: space.where: {count} 102,400 less 1 1,000")
     with pytest.raises(CampaignError, match=facts("^c.toml: space.where: 1: unknown 'z' x")):
         check_where(BOX, "z > 1", "c.toml")
     found = header("x > 9")

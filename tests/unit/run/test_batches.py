@@ -17,6 +17,7 @@ import pytest
 from perfbound.orchestrator.certificate.verify.run import verify_certificate
 from perfbound.orchestrator.fleet.dispatch.limits import Limits
 from perfbound.orchestrator.fleet.dispatch.opinions import PARTLY
+from perfbound.orchestrator.report.collect.campaign import Collector
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.run.collision import PoisonedError
 from perfbound.orchestrator.run.service import RunStatus
@@ -268,6 +269,10 @@ def test_each_rollout_that_fails_in_its_batch_is_said_and_listed(tmp_path: Path)
     ]
     progress = read_progress(directory)
     assert (progress.failures, progress.system_failures) == (len(listed), len(listed))
+    report = Collector(directory).refresh()
+    assert (report.throughput.failures, report.throughput.system_failures) == (len(listed), len(listed))
+    assert sum(each.failures for each in report.workers) == len(listed)
+    assert {each.rollout for each in report.failed_attempts} == {each["rollout"] for each in listed}
 
 
 @pytest.mark.rest

@@ -2,7 +2,7 @@
 
 import pytest
 
-from perfbound.orchestrator.certificate.words.control_text import control_sentence
+from perfbound.orchestrator.certificate.words.control_text import control_line, control_sentence
 from perfbound.schemas.file.objectives import ProblemName
 from perfbound.schemas.result.certificate import ControlOfDisturbance, ControlResult, ProblemResult, Rollouts
 from tests.unit.certificate.test_sensitivity import a_claim
@@ -68,4 +68,13 @@ def test_several_problems_are_named() -> None:
     assert found.endswith(
         "they explain 50 % of the variance of nominal_robustness, most of it gust, and 25 % of the variance of "
         "sim_gap, most of it mass."
+    )
+
+
+def test_a_line_has_the_largest_parts() -> None:
+    control = a_result({f"w{k}": 0.01 * k for k in range(8)}).control
+    assert control is not None
+    assert control_line(control) == (
+        "control: the standard deviation that it takes out is 0.07 for w7, 0.06 for w6, 0.05 for w5, 0.04 for w4, "
+        "0.03 for w3, 0.02 for w2, less for 2 more; 0.01 is left"
     )
