@@ -45,7 +45,7 @@ def shortened(text: str) -> str:
         head, found = re.subn(rf"(?m)^{key} = .*$", f"{key} = {value}", head)
         head = head if found else f"{key} = {value}\n{head}"
     # Enough tests for the rollout that the tutorial repeats.
-    return head + table + re.sub(r"(?m)^max_tests = .*$", "max_tests = 80", tail)
+    return head + table + re.sub(r"(?m)^max_tests = .*$", "max_tests = 90", tail)
 
 
 @pytest.fixture(scope="module")
