@@ -19,6 +19,7 @@ from .rollout import (
     RolloutRequest,
     Sha256,
     Start,
+    Whole,
     check_disturbances,
     disturbances_of_batch,
     start_of_campaign,
@@ -53,7 +54,7 @@ class BatchRequest(Model):
     horizon: Seconds
     signals: tuple[SignalShape, ...] = Field(default=(), max_length=MAX_PARAMETERS)
     disturbances: tuple[Disturbances, ...] = disturbances_of_batch()
-    start: tuple[Start, ...] = start_of_campaign()
+    start: tuple[Whole, ...] = start_of_campaign(most=LARGEST_BATCH)
 
     @model_validator(mode="after")
     def _fitting(self) -> Self:

@@ -31,11 +31,15 @@ def disturbances_of_batch() -> Any:
     return Field(default=(), max_length=LARGEST_BATCH, exclude_if=lambda each: not each)
 
 
-def start_of_campaign() -> Any:
-    """Return the field of starts as the campaign has them."""
+Whole = Annotated[tuple[Magnitude, ...], Field(max_length=MAX_PARAMETERS + MAX_DISTURBANCES)]
+"""A start with the disturbances that are parameters."""
+
+
+def start_of_campaign(*, most: int | None = None) -> Any:
+    """Return the field of a start as the campaign has it, or of at most so many."""
     return Field(
         default=(),
-        max_length=MAX_PARAMETERS,
+        max_length=most,
         exclude_if=lambda start: not start,
         description="as the campaign has it, where disturbances are parameters: `x` and these follow from it",
     )
@@ -57,7 +61,7 @@ class WithinBatch(Model):
     seeds: tuple[Seed, ...] = Field(min_length=1, max_length=LARGEST_BATCH)
     place: int = Field(ge=0, lt=LARGEST_BATCH)
     disturbances: tuple[Disturbances, ...] = disturbances_of_batch()
-    start: tuple[Start, ...] = start_of_campaign()
+    start: tuple[Whole, ...] = start_of_campaign(most=LARGEST_BATCH)
 
     @model_validator(mode="after")
     def _fitting(self) -> Self:
@@ -99,7 +103,7 @@ class RolloutRequest(Model):
         exclude_if=lambda disturbances: not disturbances,
         description="the values of the disturbances that the system declares",
     )
-    start: tuple[Magnitude, ...] = start_of_campaign()
+    start: Whole = start_of_campaign()
     within: WithinBatch | None = Field(
         default=None,
         exclude_if=lambda within: within is None,

@@ -23,6 +23,7 @@ from perfbound.schemas.file.problem_models import RigorousProblem
 from perfbound.schemas.file.reader import parse_campaign
 from perfbound.schemas.file.space import Range
 from perfbound.schemas.ids import RolloutId
+from perfbound.schemas.ranges import LARGEST_BATCH
 from perfbound.schemas.requests import RequestTemplate
 from perfbound.schemas.result.certificate import Predicate
 from perfbound.schemas.rollout import RolloutRequest
@@ -239,3 +240,11 @@ def test_a_start_is_split_into_that_of_the_system_and_its_disturbances(
     assert batch.single(3).disturbances[0] == pytest.approx(1 + 2 * x[0], abs=1e-7)
     # Its own campaign alone knows the start, so that a worker gets no parameter that is none of its system.
     assert RolloutRequest.model_validate_json(request.model_dump_json()) == request
+
+
+def test_the_largest_batch_has_room_for_its_starts() -> None:
+    bounded = {"gust": Parameter(name="gust", unit="sd", low=-3, high=3)}
+    template = RequestTemplate.of(WINDY.spread((), {}, bounded), {}, horizon=0.0, visual=False)
+    rollout, start = RolloutId("robustness", 0, "nominal", 0), (0.5, 0.5, 2.0)
+    found = template.batch(rollout, [start] * LARGEST_BATCH, [7] * LARGEST_BATCH)
+    assert found.single(LARGEST_BATCH - 1).disturbances == template.request(rollout, start, 7).disturbances

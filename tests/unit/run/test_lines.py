@@ -41,12 +41,12 @@ def test_names_without_end_fill_neither_the_terminal_nor_the_memory() -> None:
 # The last line of a campaign that a rollout ends: its history, and a command that repeats it as it is.
 
 ROLLOUT = RolloutId("robustness", 3, "nominal", 0)
-REQUEST = SimpleNamespace(x=(0.5, -1.0), variant="nominal", seed=7, horizon=8.0, system="cars")
+REQUEST = SimpleNamespace(x=(0.5, -1.0), variant="nominal", seed=7, horizon=8.0, system="cars", disturbances=())
 
 
 def ledger(**changes: Any) -> Ledger:
     found: CampaignConfig = config("test-function").model_copy(update=changes)
-    header = SimpleNamespace(spec=SimpleNamespace(repeated="anywhere"))
+    header = SimpleNamespace(spec=SimpleNamespace(repeated="anywhere", disturbances=(), as_parameters=()))
     return cast(Ledger, SimpleNamespace(config=found, header=header))
 
 
@@ -68,6 +68,20 @@ def test_the_command_names_the_system_as_it_is_found(monkeypatch: pytest.MonkeyP
     assert command(text(None)).startswith("perfbound simulate test-function --x=0.5,-1.0 --variant nominal --seed 7 ")
     assert command(text(f"{tmp_path}/own/cars.toml")).startswith("perfbound simulate own/cars.toml --x=")
     assert command(text("/elsewhere/cars.py:cars")).startswith("perfbound simulate /elsewhere/cars.py:cars --x=")
+
+
+def test_the_command_has_the_disturbances_that_its_seed_does_not_give() -> None:
+    spec = SimpleNamespace(
+        repeated="anywhere",
+        disturbances=(SimpleNamespace(name="gust"), SimpleNamespace(name="mass")),
+        as_parameters=("gust",),
+    )
+    request = SimpleNamespace(**{**vars(REQUEST), "disturbances": (5.5, 1.0)})
+    found = cast(Any, ledger())
+    found.header.spec = spec
+    attempt = events.Fail("local-1", Attempt(ROLLOUT, 1), Failure("system", "x"))
+    line = poison_text(events.Poison(ROLLOUT, (attempt,)), cast(RolloutRequest, request), found, None, {})
+    assert " --seed 7 --disturbance=gust=5.5 --horizon 8 " in command(line)
 
 
 def test_the_repeat_of_a_rollout_that_hangs_ends_like_its_attempts() -> None:

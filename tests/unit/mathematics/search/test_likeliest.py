@@ -27,7 +27,8 @@ def ball(x: Point) -> float:
 
 def sought(margin: Margin, start: Point) -> tuple[Likeliest, list[Point]]:
     found = Likeliest(start, margin(start), LOW, HIGH, scored=(1, 2, 3))
-    tests, tried = found.tests(), list[Point]()
+    tests = found.tests()
+    tried: list[Point] = []
     point = next(tests)
     while len(tried) < 100:
         tried.append(point)
