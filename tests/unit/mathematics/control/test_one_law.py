@@ -20,6 +20,8 @@ from perfbound.orchestrator.mathematics.control.sequence import Disturbed
 from perfbound.orchestrator.mathematics.gp.kernels import Floats
 from perfbound.orchestrator.mathematics.gp.points import Points
 from perfbound.schemas.values import Observation, Proposal, SampledQuantity
+from tests.studies.coverage.controls.campaigns import Bounds, Controls, campaign
+from tests.studies.coverage.oracle import allowed
 
 BASES = (normal_basis(7), choice_basis((0.3, 0.7)))
 CLIP = (0.0, 1.0)
@@ -107,6 +109,13 @@ def test_blocks_of_samples_are_as_one_test_after_the_other() -> None:
     block.observe_each(np.arange(100, 300), np.zeros(200), each[100:])
     assert [one.found(k) for k in range(3)] == [block.found(k) for k in range(3)]
     assert one.control is not None
+
+
+@pytest.mark.parametrize("bounds", ["scenario", "mean", "risk"])
+def test_no_adversary_makes_more_claims_false_than_delta(bounds: Bounds) -> None:
+    row = Controls(bounds, "against the control")
+    found = [campaign(row, np.random.default_rng(number)) for number in range(20)]
+    assert sum(each["lower"] for each in found) <= allowed(20, row.claimed)
 
 
 @pytest.mark.parametrize("risk", ["mean", "linearised", "bhatia-davis", "predictable"])
