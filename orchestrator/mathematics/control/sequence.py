@@ -147,9 +147,10 @@ class ControlSequence:
             return False
         shares = (x[some] - self._low) / self._range
         self._sums = self._sums.plus(start, self._rows(places[some], scores[some]), shares)
+        # Where the first test has as many rollouts as a fit, the next one is what its penalty is chosen on.
+        fits = self._sums.count >= self._next and self._half.count > 0
         if not self._half.count and self._sums.count >= self._first // 2:
             self._half = self._sums
-        fits = self._sums.count >= self._next
         if fits:
             self._fit()
             self._half, self._next, self.has_begun = self._sums, 2 * self._sums.count, True

@@ -107,6 +107,17 @@ def test_a_control_is_a_function_of_the_tests_before_its_fit() -> None:
     assert [each.tolist() for each in one.control.levels] == [each.tolist() for each in other.control.levels]
 
 
+def test_a_first_test_of_many_rollouts_has_no_half_left_to_choose_a_penalty_on() -> None:
+    rng, sequence = np.random.default_rng(4), ControlSequence(BASES, 2, (-3.0, 3.0), first=32)
+    fits = []
+    for test in range(2):
+        _, scores, noise = rollouts(rng, 64)
+        place = np.repeat(PLACES[[test]], 64, axis=0)
+        fits.append(sequence.add(test, place, scores, 0.2 * scores[:, 0] + noise))
+    assert fits == [False, True]
+    assert sequence.control is not None
+
+
 def test_many_disturbances_have_no_products_with_the_start() -> None:
     sequence = ControlSequence((normal_basis(13),) * 15, 20, (0.0, 1.0), first=16)
     rng = np.random.default_rng(0)
