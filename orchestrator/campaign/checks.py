@@ -5,7 +5,7 @@ from dataclasses import replace
 from functools import partial
 
 from ...schemas.amounts import amount
-from ...schemas.batch import largest_batch
+from ...schemas.batch import MOST_NUMBERS, largest_batch
 from ...schemas.errors import CampaignError, check_all
 from ...schemas.file.against_system import check_against
 from ...schemas.file.config import CampaignConfig
@@ -62,7 +62,13 @@ def check_new(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
 
 
 def _check_batch(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
-    """Refuse batches whose files would be too large, as far as the system declares the size of a trajectory."""
+    """Refuse batches whose requests would be too large, or whose files, as far as the system declares their size."""
+    disturbances = len(spec.disturbances)
+    if config.batch * disturbances > MOST_NUMBERS // 2:
+        raise CampaignError(
+            f"{source}: batch: {config.batch:,} rollouts with {disturbances:,} disturbances each are more numbers than "
+            f"a request has room for; choose at most {MOST_NUMBERS // 2 // disturbances:,}"
+        )
     each = spec.trajectory_bytes or 0
     most = max(largest_batch(each), 1)
     if config.batch > most:

@@ -214,14 +214,16 @@ class ProblemPlan:
         return [(self.replicate("nominal", each), self.replicate("true", each)) for each in served]
 
 
-def block_size(batch: int, rollouts: Collection[tuple[str, int]], parameters: int) -> int:
+def block_size(batch: int, rollouts: Collection[tuple[str, int]], numbers: int) -> int:
     """Return how many tests with these rollouts, (variant, replicate) of each, are a block where none decides another.
 
-    >>> block_size(16, [("true", 0), ("true", 1), ("true", 2)], parameters=2), block_size(1, [("true", 0)], 2)
+    A start has so many `numbers` in a request, where disturbances have the other half of the room.
+
+    >>> block_size(16, [("true", 0), ("true", 1), ("true", 2)], numbers=2), block_size(1, [("true", 0)], 2)
     (5, 1)
     """
     replicates = max(Counter(variant for variant, _ in rollouts).values())
-    return max(1, min(batch // replicates, MOST_NUMBERS // parameters))
+    return max(1, min(batch // replicates, MOST_NUMBERS // 2 // numbers))
 
 
 def within_starts(plan: ProblemPlan, tests: int) -> int:

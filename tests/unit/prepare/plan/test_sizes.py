@@ -14,8 +14,10 @@ from perfbound.orchestrator.campaign.plan import plans
 from perfbound.orchestrator.mathematics.bounds.cost import BLOCKS, LARGEST_MEMORY, LARGEST_PLAN
 from perfbound.schemas.errors import CampaignError
 from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.file.disturbance import Normal
 from perfbound.schemas.file.reader import parse_campaign
 from perfbound.schemas.file.toml_text import toml_file
+from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.result.facts import Header
 from perfbound.schemas.system import Column, Parameter, SystemSpec
 from tests.facts import says
@@ -252,3 +254,16 @@ def test_a_batch_whose_file_would_be_too_large_is_refused_with_the_largest_one()
         check_new(config, large, "c.toml")
     assert says(str(error.value), "^c.toml: batch: 100 1.05 MB 105 MB 67.1 MB choose at most 63")
     check_new(config.model_copy(update={"batch": 63}), large, "c.toml")
+
+
+def test_a_batch_whose_disturbances_a_request_has_no_room_for_is_refused() -> None:
+    laws = tuple(Normal(0, 1).named(f"w{k}", "") for k in range(50))
+    config, declared = parsed(table("sample", 2, batch=301)), spec(2).model_copy(update={"disturbances": laws})
+    with pytest.raises(CampaignError) as error:
+        check_new(config, declared, "c.toml")
+    assert says(str(error.value), "^c.toml: batch: 301 50 disturbances choose at most 300")
+    header = Header.new(config.model_copy(update={"batch": 300}), declared, {}, run="0" * 16)
+    check_new(header.config, declared, "c.toml")
+    block = plans(header.config, declared)["robustness"].machine.block
+    request = header.template.batch(RolloutId("robustness", 0, "nominal", 0), [(0.0, 0.0)] * block, range(block))
+    assert len(request.disturbances) == block
