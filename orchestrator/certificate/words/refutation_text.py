@@ -120,8 +120,14 @@ def values_words(disturbances: Mapping[str, float]) -> str:
 
 
 def margin_words(robustness: float, unit: str) -> str:
-    """Return a robustness with its unit, if it has one."""
-    return in_unit(f"{robustness:.{DIGITS}f}", unit)  # a value, no bound
+    """Return a robustness with its unit, if it has one; it is a value, and no bound.
+
+    >>> margin_words(-0.05, "rad"), margin_words(-1e-9, "rad"), margin_words(0.0, "")
+    ('-0.0500 rad', '-1e-09 rad', '0.0000')
+    """
+    rounded = f"{robustness:.{DIGITS}f}"
+    # A failure next to the border is one.
+    return in_unit(f"{robustness:.2g}" if robustness and not float(rounded) else rounded, unit)
 
 
 def named_start(start: Mapping[str, float], units: Mapping[str, str] | None = None) -> str:

@@ -27,6 +27,8 @@ SHARE = 0.02
 """Of the range of another parameter."""
 CLOSE, FIRST_CLOSE = 0.01, 0.16
 """sd to which a border is found: at last, and at first, for exact ones far from the goal are no help."""
+ROUND_OFF = 1e-9
+"""Of a score, below which it is 0."""
 LEAST_TRUST = 0.02
 """The search ends where so short a part of a step makes nothing better."""
 
@@ -135,7 +137,8 @@ class Likeliest:
         square = sum(slopes.get(j, 0.0) ** 2 for j in self._scored)
         for j in self._scored:
             wanted = -slopes.get(j, 0.0) * level / square if level > 0.0 and square else 0.0
-            changed[j] = base[j] + trust * (min(max(wanted, self._low[j]), self._high[j]) - base[j])
+            nearer = base[j] + trust * (min(max(wanted, self._low[j]), self._high[j]) - base[j])
+            changed[j] = nearer if abs(nearer) > ROUND_OFF else 0.0
         return self._moved(changed)
 
     def _ends(self) -> Iterator[tuple[int, float]]:
