@@ -126,7 +126,7 @@ def of_scores(law: Disturbance) -> Inverse:
     """
     if law.choices is not None:
         values = np.array(law.choices)
-        return lambda scores: values[scores.astype(int)]
+        return lambda scores: values[np.rint(scores).astype(np.intp)]
     # Not through the shares: near 1 these have no digits left, and 3 standard deviations are to be 3.
     if (by_score := _by_score(law)) is not None:
         return _rounded(law, by_score)

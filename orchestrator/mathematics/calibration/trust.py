@@ -132,7 +132,7 @@ def _trial(fit: KernelFit, data: SampledValues, finer: SampledValues | None) -> 
     if data.exact and finer is not None:
         # Exact values anywhere are a lower bound of the norm; the steepest places need the most of it.
         norm = max(norm, needed_norm(fit, refined(data, finer.shares, finer.values), centre))
-    bound = margin(data) * norm if data.exact else max(margin(data) * norm, HIDDEN * data.variance**0.5)
+    bound = max(margin(data) * norm, HIDDEN * data.variance**0.5)
     width = bound * float(np.median(predictions.sd))
     clear = data.variance <= CLEAR * float(np.var(data.values))
     return KernelTrial(

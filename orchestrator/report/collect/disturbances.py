@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ....schemas.draws.laws import inverse
+from ....schemas.draws.laws import of_scores
 from ....schemas.file.disturbance import Disturbance
 from ....schemas.ids import RolloutId
 from ....schemas.result.facts import Header
@@ -110,7 +110,7 @@ class _Sampler:
         laws = self._header.spec.disturbances
         return DisturbanceScatter(
             axes=tuple(axes),
-            at=tuple(tuple(_values(laws[k], scores[:, k]).tolist()) for k in axes),
+            at=tuple(tuple(of_scores(laws[k])(scores[:, k]).tolist()) for k in axes),
             margin=tuple(robustness[chosen].tolist()),
             marked=tuple(marked[chosen].tolist()),
             test=tuple(self._rollouts.tests[chosen].tolist()),
@@ -193,7 +193,7 @@ def _groups(scores: Floats, most: int) -> Integers:
 
 def _curve(law: Disturbance, scores: Floats, effect: Floats) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return the values with these scores in their order, and the effect at each."""
-    at = _values(law, scores)
+    at = of_scores(law)(scores)
     order = np.argsort(at, kind="stable")
     return tuple(at[order].tolist()), tuple(effect[order].tolist())
 
@@ -205,12 +205,3 @@ def _largest(found: Sequence[DisturbanceShare]) -> list[DisturbanceShare]:
 def _numbers(law: Disturbance) -> Floats:
     """Return the numbers of the choices of a law, or an even choice of them."""
     return even(len(law.choices or ()), MOST_POINTS).astype(np.float64)
-
-
-def _values(law: Disturbance, scores: Floats) -> Floats:
-    """Return the values of a disturbance with these scores."""
-    from scipy.special import ndtr  # noqa: PLC0415  (a tenth of a second that few commands need)
-
-    if law.choices is not None:
-        return np.array(law.choices)[np.rint(scores).astype(np.intp)]
-    return inverse(law)(ndtr(scores))

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +15,13 @@ from perfbound.orchestrator.mathematics.calibration.leave_one_out import leave_o
 from perfbound.orchestrator.mathematics.calibration.norm_growth import needed_norm, norm_growth, refined
 from perfbound.orchestrator.mathematics.calibration.sampled import SampledValues, kernel_matrix
 from perfbound.orchestrator.mathematics.calibration.steepness import Descent, End, SteepPlace, quotients, steepest
-from perfbound.orchestrator.mathematics.calibration.trust import EXACT_MARGIN, Choice, choose_kernel, least_predicted
+from perfbound.orchestrator.mathematics.calibration.trust import (
+    EXACT_MARGIN,
+    Choice,
+    choose_kernel,
+    least_predicted,
+    margin,
+)
 from perfbound.orchestrator.mathematics.calibration.variogram import variogram
 from perfbound.orchestrator.mathematics.sobol import sobol_blocks
 from tests.studies.coverage.functions import SIDE, Floats, random_function
@@ -307,3 +314,10 @@ def test_as_many_starts_are_doubted_as_noise_makes_doubtful() -> None:
     lowest = set(np.argsort(falls)[:6].tolist())
     assert len(least_predicted(data)) <= 12, "at most a twentieth"
     assert lowest <= set(least_predicted(data))
+
+
+def test_the_more_the_noise_hides_the_larger_is_the_margin_of_the_norm() -> None:
+    data = exact(smooth, 100)
+    share = float(np.var(data.values))
+    factors = [margin(replace(data, variance=noise * share * 100)) for noise in (0.0, 7e-5, 9e-5, 3e-4, 5e-4, 1.0)]
+    assert factors == [1.5, 1.5, 2.0, 2.0, 2.5, 2.5]

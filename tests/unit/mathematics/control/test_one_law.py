@@ -65,7 +65,7 @@ def test_it_is_not_used_where_its_range_costs_more_than_the_noise() -> None:
     assert (few.control, few.least, few.most, few.ahead > 1000) == (None, 0.0, 0.0, True)
 
 
-def test_a_sequence_takes_the_ends_that_it_was_told() -> None:
+def test_a_sequence_takes_the_ends_that_it_was_given() -> None:
     sequence, past = BettingSequence((0.05,)), np.array([[0.6, 0.01, 0.01]])
     sequence.reach(-0.2, 1.1)
     sequence.observe_each(np.array([-0.2]), past)
