@@ -18,8 +18,9 @@ from perfbound.orchestrator.store.read import read_header, reading
 from perfbound.schemas.errors import CampaignError
 from perfbound.schemas.file.against_system import check_against
 from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.ids import SHRINK
 from perfbound.schemas.result.certificate import Predicate
-from perfbound.schemas.result.facts import ProposalFact
+from perfbound.schemas.result.facts import BoundFact, ProposalFact
 from perfbound.schemas.rollout import RolloutRequest
 from tests.facts import says
 from tests.fakes.simulators import certificates, robustness, simulate, spec, verified
@@ -75,6 +76,18 @@ def test_the_likeliest_failure_is_found_and_everything_follows_from_the_evidence
     (problem,) = Collector(tmp_path).refresh().problems
     assert problem.stopped_by == "counterexample"
     assert not verified(tmp_path)
+
+
+def test_the_budget_ends_it_with_the_likeliest_so_far(tmp_path: Path) -> None:
+    sought = {"over": "disturbances", "likeliest_tests": 4}
+    simulate(tmp_path, a_campaign(falsify=sought), corner, noisy=True, system=WINDY)
+    first = predicate(tmp_path).counterexample
+    assert first is not None
+    assert first.likeliest is not None
+    assert first.likeliest.rollouts == 4
+    with reading(tmp_path) as connection:
+        bounds = [fact for fact in read_facts(connection) if isinstance(fact, BoundFact)]
+    assert [fact.budget for fact in bounds if fact.problem == SHRINK] == [False, False, False, True]
 
 
 def test_only_drawn_tests_are_evidence_and_their_disturbances_follow_their_laws(tmp_path: Path) -> None:

@@ -15,10 +15,11 @@ from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import facts as recorded_facts
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.robustness import read_values, read_violations
+from perfbound.schemas import ids
 from perfbound.schemas.errors import CampaignError
 from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.result.certificate import Certificate, Shrunk
-from perfbound.schemas.result.facts import RolloutFact
+from perfbound.schemas.result.facts import BoundFact, RolloutFact
 from perfbound.schemas.rollout import RolloutRequest
 from tests.facts import says
 from tests.fakes.simulators import noise, robustness, simulate, spec, verified
@@ -115,6 +116,9 @@ def test_the_budget_ends_it_with_the_nearest_so_far(tmp_path: Path) -> None:
     assert found is not None
     assert found.rollouts == 3
     assert found.robustness < 0
+    with read.reading(tmp_path) as connection:
+        bounds = [fact for fact in recorded_facts.read_facts(connection) if isinstance(fact, BoundFact)]
+    assert [fact.budget for fact in bounds if fact.problem == ids.SHRINK] == [False, False, True]
 
 
 def test_every_rollout_of_a_noisy_system_has_the_seed_of_the_counterexample(tmp_path: Path) -> None:
