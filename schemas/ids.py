@@ -4,7 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-SPOT_CHECK, RISK_CHECK, SHRINK, RECHECK = CLOSING = ("spot_check", "risk_check", "shrink", "recheck")
+SPOT_CHECK, RISK_CHECK, SHRINK, IMPORTANCE, RECHECK = CLOSING = (
+    "spot_check",
+    "risk_check",
+    "shrink",
+    "importance_sampling",
+    "recheck",
+)
 """The closing checks: series of tests that follow those of the problems, in this order."""
 
 

@@ -13,8 +13,10 @@ from ...schemas.result.facts import DiscardFact, Header
 from ..campaign.bounded_parts import bounded_accounts
 from ..campaign.closing.likeliest import LikeliestFailure
 from ..campaign.closing.shrink import Shrink
+from ..campaign.closing.spot_check import LEVEL
 from ..campaign.counterexample import counterexample
 from ..campaign.ledger import Ledger, failed_attempts, observed_rollouts
+from ..mathematics.bounds.one_law.weighted import DEFENSIVE
 from ..store.files import FOLDER
 from .assumptions.audit import ClosingResults, assumptions
 from .assumptions.opinions import workers_honest
@@ -151,6 +153,21 @@ def _likeliest(ledger: Ledger, parameters: Sequence[str], seed: int) -> document
         robustness=robustness,
         rollout=str(rollout),
         rollouts=len(ledger.series[sought.name].observations),
+        at_start=_at_start(ledger),
+    )
+
+
+def _at_start(ledger: Ledger) -> document.FailureAtStart | None:
+    sampled = ledger.closing.importance
+    if sampled is None:
+        return None
+    count = len(ledger.series[sampled.name].observations)
+    return document.FailureAtStart(
+        bound=sampled.lower(count),
+        probability=1 - LEVEL,
+        rollouts=count,
+        failures=len(sampled.weights),
+        share=DEFENSIVE,
     )
 
 

@@ -30,7 +30,7 @@ from ...schemas.file.drawn_claims import PROBABILITIES
 from ...schemas.file.objectives import replicates_are_robustness
 from ...schemas.file.parts import parts_of
 from ...schemas.file.problem_models import Problem
-from ...schemas.ids import RECHECK, RISK_CHECK, SHRINK, SPOT_CHECK, FileId, closing_check, rollout_at
+from ...schemas.ids import CLOSING, RECHECK, RISK_CHECK, SPOT_CHECK, FileId, closing_check, rollout_at
 from ...schemas.result.facts import NO_FAILURE, RECORDED, Header
 from ...schemas.system import Parameter, SystemSpec
 from . import tables
@@ -316,7 +316,7 @@ def _objectives(header: Header) -> dict[str, tuple[str, str]]:
     """Return sense and unit of every problem's objective.
 
     A spot check tests the objectives of the problems: with one of them, or several of one sense, it has theirs. Else
-    its observations are J, and a recheck has no objective.
+    its observations are J, and the other checks have no objective.
     """
     found = {
         problem.name: (header.config.sense_of(problem), unit(problem, header.config, header.spec))
@@ -324,7 +324,7 @@ def _objectives(header: Header) -> dict[str, tuple[str, str]]:
     }
     same = set(found.values())
     tested = next(iter(same)) if len(same) == 1 else ("", "")
-    return {SPOT_CHECK: tested, RISK_CHECK: tested, RECHECK: ("", ""), SHRINK: ("", "")} | found
+    return dict.fromkeys(CLOSING, ("", "")) | {SPOT_CHECK: tested, RISK_CHECK: tested} | found
 
 
 def _starts(header: Header) -> tuple[ExportColumn, ...]:

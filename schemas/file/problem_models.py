@@ -336,6 +336,14 @@ class Falsify(Model):
         description='with `over = "disturbances"`: most rollouts after the counterexample, towards the likeliest '
         "disturbances with which the system fails; no claim uses them",
     )
+    importance_tests: int = Field(
+        default=200,
+        ge=0,
+        le=100_000,
+        exclude_if=lambda tests: tests == 200,
+        description="rollouts around the likeliest failure, from which a lower bound of the probability of a failure "
+        "at its start follows",
+    )
     random_every: int = Field(
         default=4,
         ge=1,
@@ -374,8 +382,8 @@ class Falsify(Model):
         return self
 
     @property
-    def later_tests(self) -> int:
-        """Most rollouts after the counterexample."""
+    def improving_tests(self) -> int:
+        """Most rollouts that look for a better counterexample."""
         return self.likeliest_tests if self.over == "disturbances" else self.shrink_tests
 
     def is_random(self, test: int) -> bool:

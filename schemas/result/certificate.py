@@ -210,8 +210,21 @@ class Shrunk(Model):
     rollouts: int = Field(description="of the bisection; no claim uses them")
 
 
+class FailureAtStart(Model):
+    """A bound of the probability that a rollout from one start fails, by importance sampling."""
+
+    bound: float = Field(description="the probability is at least this; 0 where it shows none")
+    probability: float = Field(description="with which the bound is right")
+    rollouts: int
+    failures: int
+    share: float = Field(
+        description="of the rollouts, on average, that have disturbances as in operation; the others have scores "
+        "around those of the likeliest failure"
+    )
+
+
 class LikeliestFailure(Model):
-    """The failing rollout whose disturbances are likeliest, of those that a search tried; no bound of a probability."""
+    """The failing rollout whose disturbances are likeliest, of those that a search tried."""
 
     start: dict[str, float] = Field(description="with the scores of the disturbances, in sd")
     disturbances: dict[str, float] = Field(description="their values")
@@ -219,6 +232,11 @@ class LikeliestFailure(Model):
     robustness: float = Field(description="below 0")
     rollout: str = Field(description="the counterexample itself, where no likelier one was found")
     rollouts: int = Field(description="of this search; no claim uses them")
+    at_start: FailureAtStart | None = Field(
+        default=None,
+        exclude_if=lambda at_start: at_start is None,
+        description="how likely a failure is at this start, with disturbances as declared",
+    )
 
 
 class Counterexample(Model):

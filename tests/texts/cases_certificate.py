@@ -24,6 +24,7 @@ from perfbound.schemas.result.certificate import (
     Bounded,
     BoundedDisturbance,
     Counterexample,
+    FailureAtStart,
     LikeliestFailure,
     MostStarts,
     Rollouts,
@@ -119,6 +120,7 @@ def _disturbances() -> Cases:
         robustness=-0.001,
         rollout="shrink.47.nominal.0",
         rollouts=75,
+        at_start=FailureAtStart(bound=0.000731299, probability=0.95, rollouts=200, failures=81, share=0.1),
     )
     counterexample = Counterexample(
         rollout="robustness.2.nominal.0",

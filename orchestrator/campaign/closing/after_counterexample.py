@@ -1,7 +1,4 @@
-"""What follows a counterexample: rollouts with its variant and seed at other starts, one after the other.
-
-No claim uses them.
-"""
+"""What follows a counterexample: rollouts of its variant at other starts, of which no claim makes use."""
 
 from abc import ABC, abstractmethod
 
@@ -17,23 +14,45 @@ from ..series import Series
 from ..starts import of_space
 
 
-class AfterCounterexample(ABC):
-    """The decider of these tests: each start follows from the outcomes of those before it.
+class AfterCounterexample:
+    """What the deciders of these tests have in common: the robustness is what a test observes."""
+
+    name: str
+    plan: state.Plan
+    """Of at most so many tests, none where there is nothing to try."""
+
+    def __init__(self, found: RolloutFact, observer: Observer) -> None:
+        self.found, self._observer = found, observer
+
+    def observation(self, series: Series, test: int, trajectories: Trajectories) -> ObservationFact:
+        """Return the robustness of the rollout."""
+        (trajectory,) = trajectories.values()
+        with naming(f"{self.name}, test {test}", UNOBSERVABLE):
+            robustness = self._observer.robustness(trajectory)
+        assert robustness is not None, "a counterexample is one of the robustness"
+        found = Observation(robustness, (robustness,))
+        return ObservationFact(self.name, test, found, series.next_link(test, found))
+
+    def check(self, series: Series, rollout: RolloutId, trajectory: Trajectory, others: Others) -> None:
+        """Do nothing: the robustness of every rollout is computed when it is admitted."""
+
+
+class Improvement(AfterCounterexample, ABC):
+    """The decider of tests with the seed of the counterexample: each start follows from the outcomes before it.
 
     A subclass ends its construction with `_planned`.
     """
 
     name = SHRINK
-    plan: state.Plan
-    """Of at most so many tests, none where there is nothing to try."""
 
     def __init__(self, header: Header, found: RolloutFact, observer: Observer) -> None:
-        self._found, self._observer, self._space = found, observer, of_space(header)
+        super().__init__(found, observer)
+        self._space = of_space(header)
         self._region = condition(header.config.where, [each.name for each in header.spec.parameters])
 
     def _planned(self, tests: int) -> state.Plan:
         """Return the plan of at most so many tests."""
-        return state.Plan(SHRINK, 1, tests if self.next_start is not None else 0, ((self._found.rollout.variant, 0),))
+        return state.Plan(SHRINK, 1, tests if self.next_start is not None else 0, ((self.found.rollout.variant, 0),))
 
     @property
     @abstractmethod
@@ -50,25 +69,13 @@ class AfterCounterexample(ABC):
         assert start is not None, "a search that is complete has ended"
         return ProposalFact(SHRINK, test, Proposal(test, start, None, None, None, None))
 
-    def observation(self, series: Series, test: int, trajectories: Trajectories) -> ObservationFact:
-        """Return the robustness of the rollout."""
-        (trajectory,) = trajectories.values()
-        with naming(f"{SHRINK}, test {test}", UNOBSERVABLE):
-            robustness = self._observer.robustness(trajectory)
-        assert robustness is not None, "a counterexample is one of the robustness"
-        found = Observation(robustness, (robustness,))
-        return ObservationFact(SHRINK, test, found, series.next_link(test, found))
-
-    def check(self, series: Series, rollout: RolloutId, trajectory: Trajectory, others: Others) -> None:  # noqa: B027
-        """Do nothing: the robustness of every rollout is computed when it is admitted."""
-
     def bound(self, series: Series, fact: ObservationFact) -> BoundFact:  # noqa: ARG002  (nothing is bounded)
         """Choose the next start."""
-        self._take(fact.observation.y, RolloutId(SHRINK, fact.test, self._found.rollout.variant, 0))
+        self._take(fact.observation.y, RolloutId(SHRINK, fact.test, self.found.rollout.variant, 0))
         done = self.next_start is None
         spent = not done and fact.test + 1 >= self.plan.max_tests
         return BoundFact(SHRINK, fact.test, Bound(None, None, "converged" if done else None), budget=spent)
 
     def seed(self, rollout: RolloutId) -> int:  # noqa: ARG002  (the same for all)
         """Return the seed of the counterexample."""
-        return self._found.seed
+        return self.found.seed

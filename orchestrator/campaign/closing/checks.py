@@ -14,13 +14,14 @@ from ..observation import Observer
 from ..plan import ProblemPlan
 from ..ports import Recorded
 from ..series import Account, Series
+from .importance import ImportanceSampling
 from .likeliest import LikeliestFailure
 from .recheck import Recheck
 from .risk_check import RiskCheck
 from .shrink import Shrink
 from .spot_check import SpotCheck, SpotSeries, spot_check_plan
 
-Check = SpotCheck | RiskCheck | Shrink | LikeliestFailure | Recheck
+Check = SpotCheck | RiskCheck | Shrink | LikeliestFailure | ImportanceSampling | Recheck
 
 
 class ClosingChecks:
@@ -39,6 +40,7 @@ class ClosingChecks:
         self.spot_check: SpotCheck | None = None
         self.risk_check: RiskCheck | None = None
         self.shrink: Shrink | LikeliestFailure | None = None
+        self.importance: ImportanceSampling | None = None
         self.recheck: Recheck | None = None
         self._rechecks: dict[str, Recheck] = {}
         """Those of before the extensions as well."""
@@ -75,6 +77,9 @@ class ClosingChecks:
         if self.recheck is None and self.shrink is None and (shrink := self._shrink()) is not None:
             self.shrink = shrink
             return shrink, Series(first_link(header, Shrink.name))
+        if self.recheck is None and self.importance is None and (importance := self._importance()) is not None:
+            self.importance = importance
+            return importance, Series(first_link(header, importance.name))
         if self.recheck is None and Recheck.wanted(header):
             plans = {each.plan.problem: each.plan for each in reached.problems}
             # No claim rests on the rollouts of the bisection, and those of an earlier recheck are repetitions.
@@ -107,6 +112,13 @@ class ClosingChecks:
         sought = LikeliestFailure if over else Shrink
         shrink = sought(self._header, found, account.last_proposal.x, self._observer)
         return shrink if shrink.plan.max_tests else None
+
+    def _importance(self) -> ImportanceSampling | None:
+        """Return what follows the likeliest failure; None without one, or where the file leaves it out."""
+        falsify, sought = self._header.config.falsify, self.shrink
+        if falsify is None or not falsify.importance_tests or not isinstance(sought, LikeliestFailure):
+            return None
+        return ImportanceSampling(self._header, sought.found, sought, self._observer)
 
     def original(self, rollout: RolloutId) -> RolloutId | None:
         """Return the rollout that a rollout of the recheck repeats; None for every other rollout."""

@@ -8,10 +8,10 @@ from ....schemas.system import SCORED
 from ...mathematics.search.likeliest import Likeliest
 from ..observation import Observer
 from ..region import Start
-from .after_counterexample import AfterCounterexample
+from .after_counterexample import Improvement
 
 
-class LikeliestFailure(AfterCounterexample):
+class LikeliestFailure(Improvement):
     """The search: each test follows from the margins of those before it, the counterexample first.
 
     Start and disturbances alone differ from it. Choices stay as they are. A start outside the region counts as one that
@@ -23,12 +23,12 @@ class LikeliestFailure(AfterCounterexample):
         falsify, parameters = header.config.falsify, header.spec.parameters
         assert falsify is not None, "the file asks for it"
         first = len(header.spec.own_parameters)
-        scored = [k for k, each in enumerate(parameters) if k >= first and each.unit == SCORED]
+        self.scored = [k for k, each in enumerate(parameters) if k >= first and each.unit == SCORED]
         low, high = (ends.tolist() for ends in self._space.box)
         for k in range(first, len(parameters)):
-            if k not in scored:
+            if k not in self.scored:
                 low[k] = high[k] = start[k]
-        self._search = Likeliest(start, found.robustness or 0.0, low, high, scored)
+        self._search = Likeliest(start, found.robustness or 0.0, low, high, self.scored)
         self._tests = self._search.tests()
         self._rollouts = {start: (found.rollout, found.robustness or 0.0)}
         self._next: Start | None = self._admitted(next(self._tests, None))

@@ -7,13 +7,13 @@ from ....schemas.result.facts import Header, RolloutFact
 from ...mathematics.gp.kernels import Floats
 from ..observation import Observer
 from ..region import Start
-from .after_counterexample import AfterCounterexample
+from .after_counterexample import Improvement
 
 CLOSE = 1e-3
 """The bisection ends when passing and failing start are this share of the way apart."""
 
 
-class Shrink(AfterCounterexample):
+class Shrink(Improvement):
     """The bisection: test 0 is at the nominal start, each later one in the middle of what is left.
 
     The start alone differs from the counterexample. Where a failing start lies behind a passing one the bisection finds

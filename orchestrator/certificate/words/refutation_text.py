@@ -1,11 +1,12 @@
 """The sentences beside a claim that rests on refuted assumptions: what refutes them, and whether it is false itself."""
 
 from collections.abc import Mapping, Sequence
+from decimal import ROUND_FLOOR, Context
 
 from ....schemas.amounts import counted
-from ....schemas.result.certificate import Counterexample, RiskAtStart
+from ....schemas.result.certificate import Counterexample, FailureAtStart, RiskAtStart
 from ..assumptions.sentences import statement
-from .bound_text import DIGITS, in_unit
+from .bound_text import DIGITS, in_unit, outward
 
 BY_DERIVATION = {"centred_noise"}
 """Assumptions that are refuted without any data; all others are refuted by data."""
@@ -93,6 +94,29 @@ def _likeliest_words(found: Counterexample, unit: str, units: Mapping[str, str] 
     return (
         f"; the likeliest failure of {counted(near.rollouts, 'further rollout')} is {near.distance:.2f} sd from the "
         f"medians: {where}, robustness {margin_words(near.robustness, unit)} (rollout {near.rollout})"
+        f"{at_start_words(near.at_start)}"
+    )
+
+
+def at_start_words(found: FailureAtStart | None) -> str:
+    """Return how likely a failure is at the start of the likeliest one; empty where that was not asked.
+
+    >>> sampled = FailureAtStart(bound=1.239e-5, probability=0.95, rollouts=200, failures=81, share=0.1)
+    >>> at_start_words(sampled)
+    '; from this start, with disturbances as declared, a rollout fails with probability at least 1.23e-05 (right with \
+probability 0.9500, from 200 rollouts around this failure, of which 81 fail)'
+    """
+    if found is None:
+        return ""
+    shown = f"{counted(found.rollouts, 'rollout')} around this failure, of which {found.failures:,} fail"
+    if not found.bound:
+        return f"; {shown}, show no probability of a failure"
+    # Down, and not to so many digits after the point: a rare failure is one of 1e-9 as well.
+    bound = Context(prec=3, rounding=ROUND_FLOOR).create_decimal(repr(found.bound))
+    right = outward(found.probability, ">=")
+    return (
+        f"; from this start, with disturbances as declared, a rollout fails with probability at least {bound:g} "
+        f"(right with probability {right}, from {shown})"
     )
 
 

@@ -4,7 +4,9 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from scipy.stats import norm
 
 import perfbound as pb
 from perfbound.orchestrator.campaign.starts import Draws
@@ -18,9 +20,9 @@ from perfbound.orchestrator.store.read import read_header, reading
 from perfbound.schemas.errors import CampaignError
 from perfbound.schemas.file.against_system import check_against
 from perfbound.schemas.file.config import CampaignConfig
-from perfbound.schemas.ids import SHRINK
+from perfbound.schemas.ids import IMPORTANCE, SHRINK
 from perfbound.schemas.result.certificate import Predicate
-from perfbound.schemas.result.facts import BoundFact, ProposalFact
+from perfbound.schemas.result.facts import BoundFact, ProposalFact, RolloutFact
 from perfbound.schemas.rollout import RolloutRequest
 from tests.facts import says
 from tests.fakes.simulators import certificates, robustness, simulate, spec, verified
@@ -35,6 +37,9 @@ WINDY = spec(noisy=True).model_copy(
         "residual": False,
     }
 )
+
+
+FEW = {"over": "disturbances", "importance_tests": 60}
 
 
 @pytest.fixture(autouse=True)
@@ -71,6 +76,12 @@ def test_the_likeliest_failure_is_found_and_everything_follows_from_the_evidence
     assert first.likeliest.start["gust"] == pytest.approx(2.2, abs=0.05)
     assert first.likeliest.disturbances["gust"] == pytest.approx(1 + 2 * first.likeliest.start["gust"], abs=1e-6)
     assert first.likeliest.rollouts <= 100
+    sampled = first.likeliest.at_start
+    assert sampled is not None
+    probability = float(norm.sf(2.2) * norm.sf(2.0))
+    assert 0.3 * probability < sampled.bound < probability
+    assert (sampled.rollouts, sampled.share) == (200, 0.1)
+    assert 20 < sampled.failures < 100
     assert first.disturbances.keys() == first.likeliest.disturbances.keys() == {"gust", "drag", "wet"}
     assert says(counterexample_words(first, ""), "the likeliest failure of further rollouts is sd from the medians")
     (problem,) = Collector(tmp_path).refresh().problems
@@ -79,7 +90,7 @@ def test_the_likeliest_failure_is_found_and_everything_follows_from_the_evidence
 
 
 def test_the_budget_ends_it_with_the_likeliest_so_far(tmp_path: Path) -> None:
-    sought = {"over": "disturbances", "likeliest_tests": 4}
+    sought = {"over": "disturbances", "likeliest_tests": 4, "importance_tests": 1}
     simulate(tmp_path, a_campaign(falsify=sought), corner, noisy=True, system=WINDY)
     first = predicate(tmp_path).counterexample
     assert first is not None
@@ -88,6 +99,47 @@ def test_the_budget_ends_it_with_the_likeliest_so_far(tmp_path: Path) -> None:
     with reading(tmp_path) as connection:
         bounds = [fact for fact in read_facts(connection) if isinstance(fact, BoundFact)]
     assert [fact.budget for fact in bounds if fact.problem == SHRINK] == [False, False, False, True]
+
+
+def test_rollouts_around_the_failure_are_drawn_at_its_start_alone(tmp_path: Path) -> None:
+    sought = {"over": "disturbances", "importance_tests": 100}
+    simulate(tmp_path, a_campaign(falsify=sought), corner, noisy=True, system=WINDY)
+    first = predicate(tmp_path).counterexample
+    assert first is not None
+    assert first.likeliest is not None
+    with reading(tmp_path) as connection:
+        facts = list(read_facts(connection))
+    starts = [fact.proposal.x for fact in facts if isinstance(fact, ProposalFact) and fact.problem == IMPORTANCE]
+    centre = tuple(first.likeliest.start[name] for name in ("z1", "z2", "gust", "drag", "wet"))
+    assert len(starts) == 100
+    assert {start[:2] for start in starts} == {centre[:2]}
+    # Nine in ten around the failure: their mean says so, and one in ten has the median 0.
+    assert np.mean([start[2] for start in starts]) == pytest.approx(0.9 * centre[2], abs=0.5)
+    assert sum(start[2] < centre[2] - 2.0 for start in starts) in range(2, 20)
+    assert {start[4] for start in starts} == {0.0, 1.0}, "choices follow their law"
+    seeds = [fact.seed for fact in facts if isinstance(fact, RolloutFact) and fact.rollout.problem == IMPORTANCE]
+    assert len(set(seeds)) == 100
+
+
+def test_short_seeds_serve_them_as_well(tmp_path: Path) -> None:
+    short = WINDY.model_copy(update={"seed_bits": 32})
+    simulate(tmp_path, a_campaign(falsify=FEW), corner, noisy=True, system=short)
+    first = predicate(tmp_path).counterexample
+    assert first is not None
+    assert first.likeliest is not None
+    assert first.likeliest.at_start is not None
+    assert first.likeliest.at_start.rollouts == 60
+    assert not verified(tmp_path)
+
+
+@pytest.mark.parametrize("tests", ["importance_tests", "likeliest_tests"])
+def test_a_campaign_without_them_bounds_no_probability(tmp_path: Path, tests: str) -> None:
+    simulate(tmp_path, a_campaign(falsify={"over": "disturbances", tests: 0}), corner, noisy=True, system=WINDY)
+    first = predicate(tmp_path).counterexample
+    assert first is not None
+    assert first.likeliest is None or first.likeliest.at_start is None
+    assert says(counterexample_words(first, ""), "violates the specification")
+    assert "probability" not in counterexample_words(first, "")
 
 
 def test_only_drawn_tests_are_evidence_and_their_disturbances_follow_their_laws(tmp_path: Path) -> None:
@@ -111,14 +163,18 @@ def test_only_drawn_tests_are_evidence_and_their_disturbances_follow_their_laws(
 
 @pytest.mark.rest
 def test_workers_and_stops_change_no_byte(tmp_path: Path) -> None:
-    assert len(certificates(tmp_path, a_campaign(), corner, noisy=True, cut_after=60, system=WINDY)) == 1
+    assert len(certificates(tmp_path, a_campaign(falsify=FEW), corner, noisy=True, cut_after=100, system=WINDY)) == 1
 
 
-def test_a_forged_distance_is_found(tmp_path: Path) -> None:
-    simulate(tmp_path, a_campaign(), corner, noisy=True, system=WINDY)
+@pytest.mark.parametrize(("place", "key"), [((), "distance"), (("at_start",), "bound")])
+def test_a_forged_number_is_found(tmp_path: Path, place: tuple[str, ...], key: str) -> None:
+    simulate(tmp_path, a_campaign(falsify=FEW), corner, noisy=True, system=WINDY)
     path = tmp_path / files.CERTIFICATE
     found = json.loads(path.read_text())
-    found["predicate"]["counterexample"]["likeliest"]["distance"] += 1.0
+    forged = found["predicate"]["counterexample"]["likeliest"]
+    for each in place:
+        forged = forged[each]
+    forged[key] += 1e-6
     path.write_text(json.dumps(found, sort_keys=True, indent=1) + "\n")
     assert verified(tmp_path) == ["problems"]
 
