@@ -74,7 +74,9 @@ def test_a_control_raises_the_bound_and_the_certificate_says_so(campaign: Any, t
     for k, row in rows.items():
         assert row.bound is not None
         assert row.bound < on.claims[k].bound
-    assert any(says(note, "Declared disturbances explains % of the variance of a rollout") for note in notes(on, 0))
+    assert any(
+        says(note, "disturbances raise the bound explain % of the variance of a rollout") for note in notes(on, 0)
+    )
     assert not verified(tmp_path / "on")
     path = tmp_path / "on" / files.CERTIFICATE
     forged = json.loads(path.read_text())
