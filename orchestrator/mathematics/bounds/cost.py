@@ -23,7 +23,7 @@ from typing import Literal
 
 from ..blocks import LARGEST
 from .kriging.cells import PER_AXIS
-from .kriging.weights import KAPPAS, SWEEPS
+from .kriging.weights import STEPS
 
 LARGEST_MEMORY = 8e9
 """Bytes that the methods of one campaign may take."""
@@ -31,6 +31,8 @@ LARGEST_PLAN = 1e12
 """Operations of one plan of the weights of method `kriging`: about 25 minutes, in which no result is taken."""
 OF_MATRICES, OF_VECTORS = 1e10, 7e8
 """Operations of one core in a second: in products of matrices, and with vectors alone, as method `kriging` has them."""
+IN_A_STEP = 20.0
+"""Operations for each number of a matrix in a step of the plan of weights, its factor included."""
 NUMBER = 8
 BLOCKS = 6 * NUMBER * LARGEST
 """Bytes of what is computed block by block, whatever the sizes."""
@@ -96,7 +98,7 @@ class MethodSize:
             case "sample" | "scenario":
                 return 0.0
             case "kriging":
-                return 2.0 * KAPPAS * SWEEPS * m * self.design**2
+                return IN_A_STEP * STEPS * m * self.design**2
             case "paper" | "rigorous":
                 # Summed over the tests: a factor of K(X, X), and its product with K(X, nodes), and for the box between
                 # the nodes once more.

@@ -10,21 +10,25 @@
 | w_i    | `w`         | weight of the mean of the rollouts at x_i                    | (m, q) | -         |
 | kappa  | `kappa`     | price of one nat of confidence                               | ()     | unit X    |
 | v_i    |             | weight of one rollout at x_i: w_i/(kappa n_i)                | (m, q) | 1/unit X  |
+| r      |             | norm of k_c - sum w_i k_i                                    | (m,)   | -         |
 | B      | `rkhs_norm` | bound of the norm                                            | ()     | unit X    |
 | s      | `spread`    | guess of the standard deviation of a rollout                 | ()     | unit X    |
 | u      |             | guess of its mean                                            | ()     | unit X    |
 | a, b   |             | ends of its range; `room_below` is u - a, `room_above` b - u | ()     | unit X    |
 
-Minimised for each node over w and kappa, kappa on a grid of 7:
+Minimised for each node over w and kappa together:
 
-    B ||k_c - sum w_i k_i|| + kappa ln(1/delta) + (s^2/(2 kappa)) sum w_i^2/n_i,
+    B r + kappa ln(1/delta) + (s^2/(2 kappa)) sum w_i^2/n_i,
     -kappa n_i cap/(b - u) <= w_i <= kappa n_i cap/(u - a).
 
-It is what the bound is expected to lose. Nothing of it decides whether the bound is valid, only how tight it is: any
-weights that are fixed beforehand are allowed.
+It is what the bound is expected to lose. It is convex: r is a norm, w^2/kappa is the perspective of a square, and the
+limits are linear. At a point of the design the least is often at r = 0, where r has a tip: it is rounded off as far as
+the barrier is high. Nothing of it decides whether the bound is valid, only how tight it is: any weights that are fixed
+beforehand are allowed.
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,11 +37,17 @@ from ...gp.kernels import Floats
 
 CAP = 0.95
 """Largest share of the wealth of a martingale that one rollout may cost."""
-KAPPAS = 7
-# Half as many lose up to 0.004 of a bound, three times as many win 0.0005.
-SWEEPS = 60
-TIE = 1e-9
-"""Losses this close, relative to B, count as equal, so that round-off chooses no kappa."""
+STEPS = 24
+FIRST_BARRIER, LEAST_BARRIER = 0.1, 1e-7
+"""Height of the barrier relative to B. It halves in each step; lower ones win less than 0.001 of B."""
+TO_LIMIT = 0.95
+"""A step goes this part of the way to a limit at most."""
+TRIES = 8
+SHORTER = 0.4
+"""A step that raises what is minimised becomes this much shorter, so many times before it is left out."""
+ROUND_OFF = 1e-12
+NUMBERS = 2**18
+"""Of the matrices of nodes that are planned together: what is computed of them stays in the cache of a CPU."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,72 +84,118 @@ def plan_weights(to_nodes: Floats, kernel: Floats, counts: Floats, terms: Weight
     """Return v of every node and point, (m, q), per unit X, and what the bound of each node is expected to lose, (m,).
     Implements eq. (weights) of [PB].
 
-    Formula: at the head of this module. For fixed kappa it is convex; coordinate descent, in which the norm is replaced
-    by its tangent in the squared norm from above (||r|| <= (||r||^2/t + t)/2, equal at t = ||r||), so that no step
-    raises the loss and every step has a closed form.
+    Formula: at the head of this module, by Newton steps with a logarithmic barrier at each limit, which falls from step
+    to step.
 
     >>> terms = WeightTerms(rkhs_norm=1.0, delta=0.05, spread=0.1, room_below=1.0, room_above=1.0)
     >>> kernel = np.array([[1.0, 0.2], [0.2, 1.0]])
     >>> v, losses = plan_weights(kernel, kernel, np.array([400.0, 400.0]), terms)
-    >>> bool(v[0, 0] > 0.9 * v[0].sum()), bool(abs(v[0, 0] - v[1, 1]) < 1e-12)
+    >>> bool(v[0, 0] > 0.9 * v[0].sum()), bool(abs(v[0, 0] - v[1, 1]) < 1e-9)
     (True, True)
 
     """
     planned = counts > 0
-    descent = _Descent(to_nodes[:, planned], kernel[np.ix_(planned, planned)], counts[planned], terms)
-    best, found = np.full(len(to_nodes), np.inf), np.zeros_like(to_nodes)
-    w = np.zeros_like(descent.to_nodes)
-    for kappa in kappas(counts, terms):
-        # From the weights of the kappa before, which are near.
-        w = descent.weights(w, kappa)
-        loss = descent.loss(w, kappa)
-        better = loss < best - TIE * terms.rkhs_norm
-        best = np.where(better, loss, best)
-        found[np.ix_(better, planned)] = w[better] / (kappa * descent.n)
-    return found, best
+    inner, n = kernel[np.ix_(planned, planned)], counts[planned]
+    found, losses = np.zeros_like(to_nodes), np.empty(len(to_nodes))
+    for part in _parts(len(to_nodes), len(n)):
+        plan = _Plan(to_nodes[part][:, planned], inner, n, terms)
+        plan.minimise()
+        found[part, planned] = plan.w / (plan.kappa[:, None] * terms.rkhs_norm * n)
+        losses[part] = terms.rkhs_norm * plan.loss(plan.w, plan.kappa)
+    return found, losses
 
 
-def kappas(counts: Floats, terms: WeightTerms) -> list[float]:
-    """Return the grid of kappa: from about the best one where all rollouts count, to one where one point suffices."""
-    total, most = float(counts.sum()), float(counts.max())
-    shared = terms.spread / math.sqrt(2.0 * total * terms.cost)
-    alone = max(terms.spread / math.sqrt(2.0 * most * terms.cost), terms.room_below / (CAP * most))
-    # With less, even all rollouts together have weights that sum up to less than 1.
-    least = max(1.5 * shared, terms.room_below / (CAP * total))
-    return [float(each) for each in np.geomspace(least, 2.0 * alone, KAPPAS)]
+def _parts(nodes: int, points: int) -> Iterator[slice]:
+    size = max(NUMBERS // (points + 1) ** 2, 1)
+    return (slice(first, first + size) for first in range(0, nodes, size))
 
 
-@dataclass(frozen=True)
-class _Descent:
-    """Minimisation for fixed kappa over the points that have rollouts."""
+class _Plan:
+    """Minimisation at some nodes, over the points that have rollouts; kappa and the loss relative to B."""
 
-    to_nodes: Floats
-    kernel: Floats
-    n: Floats
-    terms: WeightTerms
+    def __init__(self, to_nodes: Floats, kernel: Floats, n: Floats, terms: WeightTerms) -> None:
+        norm = terms.rkhs_norm
+        self._to_nodes, self._kernel, self._n = to_nodes, kernel, n
+        self._variance, self._cost = (terms.spread / norm) ** 2, terms.cost
+        # Of w at kappa = 1.
+        self._above, self._below = CAP * norm / terms.room_below * n, CAP * norm / terms.room_above * n
+        self.w = np.zeros_like(to_nodes)
+        self.kappa = np.full(len(to_nodes), self._usual_kappa(terms.spread / norm, terms.room_below / norm))
 
-    def weights(self, start: Floats, kappa: float) -> Floats:
-        """Return w after the sweeps, (m, q)."""
-        low, high = (end * kappa * self.n for end in (-CAP / self.terms.room_above, CAP / self.terms.room_below))
-        w = np.clip(start, low, high)
-        of_w = w @ self.kernel
-        ridge = self.terms.spread**2 / (kappa * self.n * self.terms.rkhs_norm)  # of w_i^2, in units of B/2
-        for _ in range(SWEEPS):
-            norm = self.distance(w, of_w)
-            for i in range(len(self.n)):
-                target = self.to_nodes[:, i] - of_w[:, i] + w[:, i]
-                moved = np.clip(target / (1.0 + ridge[i] * norm), low[i], high[i])
-                of_w += (moved - w[:, i])[:, None] * self.kernel[i]
-                w[:, i] = moved
-        return w
+    def minimise(self) -> None:
+        """Take the steps."""
+        barrier = FIRST_BARRIER
+        for _ in range(STEPS):
+            self._step(barrier)
+            barrier = max(barrier / 2.0, LEAST_BARRIER)
 
-    def distance(self, w: Floats, of_w: Floats) -> Floats:
-        """Return ||k_c - sum w_i k_i|| of every node, (m,); `of_w` is K w."""
-        squared = 1.0 + np.sum(w * (of_w - 2.0 * self.to_nodes), axis=1)
-        return np.asarray(np.sqrt(np.maximum(squared, 1e-15)))
+    def loss(self, w: Floats, kappa: Floats, round_tip: float = 0.0) -> Floats:
+        """Return what is minimised, (m,); with `round_tip` r is (r^2 + tip^2)^(1/2)."""
+        noise = self._variance / (2.0 * kappa) * np.sum(w * w / self._n, axis=1)
+        found: Floats = self._distance(w, w @ self._kernel, round_tip) + kappa * self._cost + noise
+        return found
 
-    def loss(self, w: Floats, kappa: float) -> Floats:
-        """Return what is minimised, for every node, (m,)."""
-        noise = self.terms.spread**2 / (2.0 * kappa) * np.sum(w * w / self.n, axis=1)
-        found = self.terms.rkhs_norm * self.distance(w, w @ self.kernel) + kappa * self.terms.cost + noise
-        return np.asarray(found, dtype=np.float64)
+    def _usual_kappa(self, spread: float, room: float) -> float:
+        """Return about the best kappa, between that where all rollouts count and that where one point suffices."""
+        total, most = float(self._n.sum()), float(self._n.max())
+        alone, shared = (
+            max(spread / math.sqrt(2.0 * count * self._cost), room / (CAP * count)) for count in (most, total)
+        )
+        return math.sqrt(alone * shared)
+
+    def _step(self, barrier: float) -> None:
+        """Take a Newton step of every node, as long as the limits allow and the barrier counts."""
+        to_w, to_kappa = self._newton(barrier)
+        before = self._with_barrier(self.w, self.kappa, barrier)
+        length = np.minimum(1.0, TO_LIMIT * self._room(to_w, to_kappa))
+        for _ in range(TRIES):
+            w, kappa = self.w + length[:, None] * to_w, self.kappa + length * to_kappa
+            raises = ~(self._with_barrier(w, kappa, barrier) <= before + ROUND_OFF)
+            if not raises.any():
+                break
+            length[raises] *= SHORTER
+        taken = ~raises
+        self.w[taken], self.kappa[taken] = w[taken], kappa[taken]
+
+    def _newton(self, barrier: float) -> tuple[Floats, Floats]:
+        """Return the Newton steps of w and kappa."""
+        w, kappa, q = self.w, self.kappa[:, None], len(self._n)
+        of_w = w @ self._kernel
+        pull, r = of_w - self._to_nodes, self._distance(w, of_w, barrier)[:, None]
+        above, below = kappa * self._above - w, w + kappa * self._below
+        squares = np.sum(w * w / self._n, axis=1)
+        slope = np.empty((len(w), q + 1, 1))
+        slope[:, :q, 0] = pull / r + self._variance * w / (kappa * self._n) + barrier * (1.0 / above - 1.0 / below)
+        of_limits = np.sum(self._above / above + self._below / below, axis=1)
+        slope[:, q, 0] = self._cost - self._variance * squares / (2.0 * self.kappa**2) - barrier * of_limits
+        curve = np.empty((len(w), q + 1, q + 1))
+        curve[:, :q, :q] = self._kernel / r[:, :, None] - (pull / r**3)[:, :, None] * pull[:, None, :]
+        places = np.arange(q)
+        curve[:, places, places] += self._variance / (kappa * self._n) + barrier * (1.0 / above**2 + 1.0 / below**2)
+        mixed = barrier * (self._below / below**2 - self._above / above**2) - self._variance * w / (kappa**2 * self._n)
+        curve[:, :q, q] = curve[:, q, :q] = mixed
+        of_limits = np.sum((self._above / above) ** 2 + (self._below / below) ** 2, axis=1)
+        curve[:, q, q] = self._variance * squares / self.kappa**3 + barrier * of_limits
+        found = np.linalg.solve(curve, -slope)[:, :, 0]
+        return found[:, :q], found[:, q]
+
+    def _with_barrier(self, w: Floats, kappa: Floats, barrier: float) -> Floats:
+        """Return what a step lowers, (m,); NaN beyond a limit, which lies in no comparison."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            above, below = kappa[:, None] * self._above - w, w + kappa[:, None] * self._below
+            found: Floats = self.loss(w, kappa, barrier) - barrier * np.sum(np.log(above) + np.log(below), axis=1)
+        return found
+
+    def _room(self, to_w: Floats, to_kappa: Floats) -> Floats:
+        """Return how many steps are left to the nearest limit, (m,)."""
+        kappa, change = self.kappa[:, None], to_kappa[:, None]
+        left = np.hstack([kappa * self._above - self.w, self.w + kappa * self._below])
+        lost = np.hstack([to_w - change * self._above, -to_w - change * self._below])
+        nearest: Floats = np.max(lost / left, axis=1)
+        return 1.0 / np.maximum(nearest, TO_LIMIT)
+
+    def _distance(self, w: Floats, of_w: Floats, tip: float) -> Floats:
+        """Return (r^2 + tip^2)^(1/2) of every node, (m,); `of_w` is K w."""
+        squared = 1.0 + np.sum(w * (of_w - 2.0 * self._to_nodes), axis=1)
+        found: Floats = np.sqrt(np.maximum(squared, 0.0) + tip**2)
+        return found
