@@ -15,16 +15,13 @@ from functools import cached_property
 import numpy as np
 
 from ...control.sequence import EXPECTED, SLACK, Control, ControlSequence, Disturbed, first_fit
-from ...gp.kernels import Floats
+from ...gp.kernels import Floats, scaled
 from ...gp.lattice import Lattice
 from ...gp.radial import Radial
 from .audit import NormAudit, PointMeans
 from .bound import GuessedMean, KrigingBounds, KrigingPremises
 from .cells import NodeCells, between
 from .weights import WeightTerms, plan_weights
-
-CHANCE = 1.1
-"""Noise makes a bound, the least of many, lower than expected: by about a tenth of what it is expected to lose."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +38,12 @@ class Kernels:
     def of(cls, lattice: Lattice, radial: Radial, points: Floats) -> "Kernels":
         """Compute the kernel."""
         return cls(lattice, radial, points, between(radial, lattice.nodes, points), between(radial, points, points))
+
+    @property
+    def cell(self) -> float:
+        """The norm of the difference of the kernel at two opposite corners of a cell."""
+        diagonal = scaled(np.array([self.lattice.spacing]), self.radial.axes)
+        return self.radial.distance(float(np.sqrt(np.sum(diagonal**2))))
 
     @property
     def shares(self) -> Floats:
@@ -79,7 +82,7 @@ class Bets:
 
     def planned(self, spread: float, ends: tuple[float, float]) -> tuple[Floats, float]:
         """Return weights for rollouts with this noise and range, and the most that a node is expected to lose."""
-        terms = _weight_terms(self.premises, spread, ends)
+        terms = _weight_terms(self.premises, spread, ends, self.kernels.cell)
         found, losses = plan_weights(self.kernels.to_nodes, self.kernels.inner, self.counts, terms)
         return found, float(losses.max())
 
@@ -160,7 +163,7 @@ class ControlledBets:
             low, high = self.bets.premises.ends
             weights, loss = self.bets.planned(spread, (_rounded(low - float(most.max())), high - _rounded(least.min())))
             # What it takes out it adds to the range, and with few rollouts the range costs more than the noise.
-            self._is_used = loss < CHANCE * self.bets.planned(before, (low, high))[1]
+            self._is_used = loss < self.bets.planned(before, (low, high))[1]
             if self._is_used:
                 means = PointMeans(self.bets.kernels.inner, self.bets.premises, spread)
                 for point, starts, scores, x in self._first:
@@ -173,8 +176,8 @@ def _rounded(value: float) -> float:
     return float(f"{value:.3g}")
 
 
-def _weight_terms(premises: KrigingPremises, spread: float, ends: tuple[float, float]) -> WeightTerms:
+def _weight_terms(premises: KrigingPremises, spread: float, ends: tuple[float, float], cell: float) -> WeightTerms:
     # Before any rollout the guess of its mean is m0.
     u, (low, high) = GuessedMean(premises).value, ends
     least = 1e-3 * (high - low)
-    return WeightTerms(premises.rkhs_norm, premises.delta, spread, max(u - low, least), max(high - u, least))
+    return WeightTerms(premises.rkhs_norm, premises.delta, spread, max(u - low, least), max(high - u, least), cell)

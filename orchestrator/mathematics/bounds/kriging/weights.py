@@ -11,19 +11,23 @@
 | kappa  | `kappa`     | price of one nat of confidence                               | ()     | unit X    |
 | v_i    |             | weight of one rollout at x_i: w_i/(kappa n_i)                | (m, q) | 1/unit X  |
 | r      |             | norm of k_c - sum w_i k_i                                    | (m,)   | -         |
+| h      | `cell`      | norm of the difference of the kernel at the ends of a cell   | ()     | -         |
 | B      | `rkhs_norm` | bound of the norm                                            | ()     | unit X    |
 | s      | `spread`    | guess of the standard deviation of a rollout                 | ()     | unit X    |
+| s'     |             | ((1.5 s)^2 + (B/6)^2)^(1/2)                                  | ()     | unit X    |
 | u      |             | guess of its mean                                            | ()     | unit X    |
 | a, b   |             | ends of its range; `room_below` is u - a, `room_above` b - u | ()     | unit X    |
 
 Minimised for each node over w and kappa together:
 
-    B r + kappa ln(1/delta) + (s^2/(2 kappa)) sum w_i^2/n_i,
+    B (r^2 + h^2)^(1/2) + kappa ln(1/delta) + (s'^2/(2 kappa)) sum w_i^2/n_i,
     -kappa n_i cap/(b - u) <= w_i <= kappa n_i cap/(u - a).
 
-It is what the bound is expected to lose. It is convex: r is a norm, w^2/kappa is the perspective of a square, and the
-limits are linear. At a point of the design the least is often at r = 0, where r has a tip: it is rounded off as far as
-the barrier is high. Nothing of it decides whether the bound is valid, only how tight it is: any weights that are fixed
+It is what the bound is expected to lose, and convex: a norm, the perspective of a square, and linear limits. The bound
+is for the cell of a node and not for the node alone: hence h. It is the least over all nodes, so that noise lowers it
+by more than its mean: hence 1.5. And rollouts differ from u also because means differ from start to start, by B/6 as a
+guess. Without the three the least r is bought with weights so large that noise loses more than they win, 0.005 of a
+Segway bound. Nothing of it decides whether the bound is valid, only how tight it is: any weights that are fixed
 beforehand are allowed.
 """
 
@@ -40,12 +44,18 @@ CAP = 0.95
 STEPS = 24
 FIRST_BARRIER, LEAST_BARRIER = 0.1, 1e-7
 """Height of the barrier relative to B. It halves in each step; lower ones win less than 0.001 of B."""
+TIP = 1e-3
+"""Least h, without which r has a tip at 0, where Newton steps are of no use."""
 TO_LIMIT = 0.95
 """A step goes this part of the way to a limit at most."""
 TRIES = 8
 SHORTER = 0.4
 """A step that raises what is minimised becomes this much shorter, so many times before it is left out."""
 ROUND_OFF = 1e-12
+OF_THE_LEAST = 1.5
+"""Factor of the noise; from 1.25 to 2 it changes no bound by more than 0.001."""
+OF_MEANS = 1.0 / 6.0
+"""Of B: how far the mean at a start is from u."""
 NUMBERS = 2**18
 """Of the matrices of nodes that are planned together: what is computed of them stays in the cache of a CPU."""
 
@@ -64,6 +74,7 @@ class WeightTerms:
     spread: float
     room_below: float
     room_above: float
+    cell: float = 0.0
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -71,8 +82,15 @@ class WeightTerms:
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
                 raise ValueError(f"{name} must be a positive finite number, not {value!r}")
+        if not 0.0 <= self.cell < math.inf:
+            raise ValueError(f"cell must be a finite number of at least 0, not {self.cell!r}")
         if not 0.0 < self.delta < 1.0:
             raise ValueError(f"delta must be in (0, 1), not {self.delta!r}")
+
+    @property
+    def deviation(self) -> float:
+        """s'."""
+        return math.hypot(OF_THE_LEAST * self.spread, OF_MEANS * self.rkhs_norm)
 
     @property
     def cost(self) -> float:
@@ -115,12 +133,12 @@ class _Plan:
 
     def __init__(self, to_nodes: Floats, kernel: Floats, n: Floats, terms: WeightTerms) -> None:
         norm = terms.rkhs_norm
-        self._to_nodes, self._kernel, self._n = to_nodes, kernel, n
-        self._variance, self._cost = (terms.spread / norm) ** 2, terms.cost
+        self._to_nodes, self._kernel, self._n, self._cell = to_nodes, kernel, n, terms.cell
+        self._variance, self._cost = (terms.deviation / norm) ** 2, terms.cost
         # Of w at kappa = 1.
         self._above, self._below = CAP * norm / terms.room_below * n, CAP * norm / terms.room_above * n
         self.w = np.zeros_like(to_nodes)
-        self.kappa = np.full(len(to_nodes), self._usual_kappa(terms.spread / norm, terms.room_below / norm))
+        self.kappa = np.full(len(to_nodes), self._usual_kappa(terms.deviation / norm, terms.room_below / norm))
 
     def minimise(self) -> None:
         """Take the steps."""
@@ -129,10 +147,10 @@ class _Plan:
             self._step(barrier)
             barrier = max(barrier / 2.0, LEAST_BARRIER)
 
-    def loss(self, w: Floats, kappa: Floats, round_tip: float = 0.0) -> Floats:
-        """Return what is minimised, (m,); with `round_tip` r is (r^2 + tip^2)^(1/2)."""
+    def loss(self, w: Floats, kappa: Floats) -> Floats:
+        """Return what is minimised, (m,)."""
         noise = self._variance / (2.0 * kappa) * np.sum(w * w / self._n, axis=1)
-        found: Floats = self._distance(w, w @ self._kernel, round_tip) + kappa * self._cost + noise
+        found: Floats = self._distance(w, w @ self._kernel) + kappa * self._cost + noise
         return found
 
     def _usual_kappa(self, spread: float, room: float) -> float:
@@ -161,7 +179,7 @@ class _Plan:
         """Return the Newton steps of w and kappa."""
         w, kappa, q = self.w, self.kappa[:, None], len(self._n)
         of_w = w @ self._kernel
-        pull, r = of_w - self._to_nodes, self._distance(w, of_w, barrier)[:, None]
+        pull, r = of_w - self._to_nodes, self._distance(w, of_w)[:, None]
         above, below = kappa * self._above - w, w + kappa * self._below
         squares = np.sum(w * w / self._n, axis=1)
         slope = np.empty((len(w), q + 1, 1))
@@ -176,14 +194,14 @@ class _Plan:
         curve[:, :q, q] = curve[:, q, :q] = mixed
         of_limits = np.sum((self._above / above) ** 2 + (self._below / below) ** 2, axis=1)
         curve[:, q, q] = self._variance * squares / self.kappa**3 + barrier * of_limits
-        found = np.linalg.solve(curve, -slope)[:, :, 0]
+        found = np.asarray(np.linalg.solve(curve, -slope)[:, :, 0], dtype=np.float64)
         return found[:, :q], found[:, q]
 
     def _with_barrier(self, w: Floats, kappa: Floats, barrier: float) -> Floats:
         """Return what a step lowers, (m,); NaN beyond a limit, which lies in no comparison."""
         with np.errstate(invalid="ignore", divide="ignore"):
             above, below = kappa[:, None] * self._above - w, w + kappa[:, None] * self._below
-            found: Floats = self.loss(w, kappa, barrier) - barrier * np.sum(np.log(above) + np.log(below), axis=1)
+            found: Floats = self.loss(w, kappa) - barrier * np.sum(np.log(above) + np.log(below), axis=1)
         return found
 
     def _room(self, to_w: Floats, to_kappa: Floats) -> Floats:
@@ -194,8 +212,8 @@ class _Plan:
         nearest: Floats = np.max(lost / left, axis=1)
         return 1.0 / np.maximum(nearest, TO_LIMIT)
 
-    def _distance(self, w: Floats, of_w: Floats, tip: float) -> Floats:
-        """Return (r^2 + tip^2)^(1/2) of every node, (m,); `of_w` is K w."""
+    def _distance(self, w: Floats, of_w: Floats) -> Floats:
+        """Return (r^2 + h^2)^(1/2) of every node, (m,); `of_w` is K w."""
         squared = 1.0 + np.sum(w * (of_w - 2.0 * self._to_nodes), axis=1)
-        found: Floats = np.sqrt(np.maximum(squared, 0.0) + tip**2)
+        found: Floats = np.sqrt(np.maximum(squared, 0.0) + max(self._cell, TIP) ** 2)
         return found

@@ -109,8 +109,10 @@ def a_plan(tests: int = 120, points: int = 3, norm: float = 0.3) -> tuple[Floats
 def loss(w: Floats, k: Floats, plan: tuple[Floats, Floats, WeightTerms], kappa: float) -> float:
     """Return what the theory minimises, written out for one node."""
     kernel, n, terms = plan
-    norm = math.sqrt(max(1.0 - 2.0 * float(w @ k) + float(w @ kernel @ w), 0.0))
-    noise = terms.spread**2 / (2 * kappa) * float(np.sum(w * w / n))
+    squared = max(1.0 - 2.0 * float(w @ k) + float(w @ kernel @ w), 0.0)
+    norm = math.sqrt(squared + max(terms.cell, 1e-3) ** 2)
+    variance = (1.5 * terms.spread) ** 2 + (terms.rkhs_norm / 6) ** 2
+    noise = variance / (2 * kappa) * float(np.sum(w * w / n))
     return terms.rkhs_norm * norm + kappa * math.log(1 / terms.delta) + noise
 
 
