@@ -89,7 +89,7 @@ class WeightTerms:
 
     @property
     def deviation(self) -> float:
-        """s'."""
+        """The deviation s' of rollouts from u that the weights are planned for."""
         return math.hypot(OF_THE_LEAST * self.spread, OF_MEANS * self.rkhs_norm)
 
     @property
