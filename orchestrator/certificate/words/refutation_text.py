@@ -115,7 +115,7 @@ probability 0.9500, from 200 rollouts around this failure, of which 81 fail)'
     bound = Context(prec=3, rounding=ROUND_FLOOR).create_decimal(repr(found.bound))
     right = outward(found.probability, ">=")
     return (
-        f"; from this start, with disturbances as declared, a rollout fails with probability at least {bound:g} "
+        f"; from this start, with disturbances as declared, a rollout fails with probability at least {float(bound):g} "
         f"(right with probability {right}, from {shown})"
     )
 

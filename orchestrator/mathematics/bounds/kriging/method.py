@@ -61,7 +61,7 @@ class KrigingMethod(Method):
     >>> for _ in range(30):
     ...     bound = method.observe(method.propose(), Observation(-0.7, (-0.6, -0.8) * 5))
     >>> bound.lower, bound.verdict, round(bound.upper, 3)
-    (None, None, -0.652)
+    (None, None, -0.655)
 
     """
 
