@@ -13,6 +13,7 @@ from rich.console import Console
 
 from ..orchestrator.certificate import files
 from ..orchestrator.certificate.words import console_lines, text
+from ..orchestrator.certificate.words.bound_text import parameter_units
 from ..orchestrator.run import directory as places
 from ..orchestrator.run import session
 from ..orchestrator.run.known import verdict_of
@@ -267,7 +268,9 @@ def run_campaign(
     own = Forked(system.here, system.spec) if system.here is not None else None
     check_workers(system.spec, own, directory)
     if (directory / DATABASE).exists():
-        found = places.stored_differently(directory, config)
+        # A system whose code has changed is another one: its old result must not be read as that of the new code.
+        changed = Run(directory).header.spec.differences(system.spec)
+        found = places.stored_differently(directory, config) or ", ".join(changed[:1])
         differing = f"another campaign is here ({found})" if found else "this campaign is here already"
         remedy = "choose another `out`" if found else _of_this(directory)
         raise PerfboundError(f"{directory}: {differing}; {remedy}")
@@ -333,6 +336,8 @@ def _in_words(directory: Path) -> str:
         rollouts = counted(len(run.rollouts), "rollout")
         return f"{directory}: not finished, {rollouts} so far; perfbound.resume continues it\n"
     console = Console(file=io.StringIO(), width=console_lines.WIDTH, force_terminal=False, color_system=None)
+    unit = robustness_unit(run.header.config, run.header.spec)
     with console.capture() as captured:
-        text.first_claim(found, console, robustness_unit(run.header.config, run.header.spec))
+        text.print_counterexample(found.predicate, console, unit, parameter_units(run.header.spec))
+        text.first_claim(found, console, unit)
     return f"VERDICT  {run.verdict.verdict}\n{captured.get().lstrip()}"

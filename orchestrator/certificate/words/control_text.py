@@ -29,7 +29,9 @@ def control_sentence(claim: CertificateClaim, without: float | None, problems: I
     gain, verb = (claim.bound - without, "raise") if claim.sense == ">=" else (without - claim.bound, "lower")
     if gain > SAME:
         return f"{subject} {verb}{s} the bound from {before} to {after}: {'it' if alone else 'they'} {explain}."
-    return f"{subject} {explain}; without a control the same tests prove {before}."
+    if gain < -SAME:
+        return f"{subject} {explain}; without a control the bound of the same tests would be {before}."
+    return f"{subject} {explain}; with and without a control the bound is {before}: few rollouts lose to the range."
 
 
 MOST = 6

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from decimal import ROUND_FLOOR, Context
 
 from ....schemas.amounts import counted
-from ....schemas.result.certificate import Counterexample, FailureAtStart, RiskAtStart
+from ....schemas.result.certificate import Counterexample, FailureAtStart, LikeliestFailure, RiskAtStart
 from ..assumptions.sentences import statement
 from .bound_text import DIGITS, in_unit, outward
 
@@ -75,14 +75,22 @@ def _listed(refuted: Sequence[str]) -> str:
 
 
 def counterexample_words(found: Counterexample, unit: str, units: Mapping[str, str] | None = None) -> str:
-    """Return what a counterexample is; `unit` is that of the robustness, `units` those of the parameters."""
+    """Return what a counterexample is, in one sentence; arguments as of `counterexample_parts`."""
+    return "; ".join(counterexample_parts(found, unit, units))
+
+
+def counterexample_parts(found: Counterexample, unit: str, units: Mapping[str, str] | None = None) -> tuple[str, ...]:
+    """Return what a counterexample is, and what followed it, in a part each.
+
+    `unit` is that of the robustness, `units` those of the parameters.
+    """
     start = named_start(found.start, units)
     others = f", the worst of its {found.rollouts:,} rollouts" if found.rollouts > 1 else ""
     margin = margin_words(found.robustness, unit)
     drawn = f" ({values_words(found.disturbances)})" if found.disturbances else ""
     words = f"test {found.test:,} violates the specification: robustness {margin} at {start}{drawn}, seed {found.seed}"
-    after = _shrunk_words(found, unit, units) + _likeliest_words(found, unit, units)
-    return f"{words} (rollout {found.rollout}{others}){after}"
+    after = (_shrunk_words(found, unit, units), _likeliest_words(found, unit, units), _at_start_words(found.likeliest))
+    return (f"{words} (rollout {found.rollout}{others})", *filter(None, after))
 
 
 def _likeliest_words(found: Counterexample, unit: str, units: Mapping[str, str] | None) -> str:
@@ -92,31 +100,33 @@ def _likeliest_words(found: Counterexample, unit: str, units: Mapping[str, str] 
         return ""
     where = f"{named_start(near.start, units)} ({values_words(near.disturbances)})"
     return (
-        f"; the likeliest failure of {counted(near.rollouts, 'further rollout')} is {near.distance:.2f} sd from the "
+        f"the likeliest failure of {counted(near.rollouts, 'further rollout')} is {near.distance:.2f} sd from the "
         f"medians: {where}, robustness {margin_words(near.robustness, unit)} (rollout {near.rollout})"
-        f"{at_start_words(near.at_start)}"
     )
 
 
-def at_start_words(found: FailureAtStart | None) -> str:
-    """Return how likely a failure is at the start of the likeliest one; empty where that was not asked.
+def _at_start_words(near: LikeliestFailure | None) -> str:
+    """Return how likely a failure is at the start of the likeliest one; empty where that was not asked."""
+    return "" if near is None or near.at_start is None else at_start_words(near.at_start)
+
+
+def at_start_words(found: FailureAtStart) -> str:
+    """Return how likely a failure is at a start.
 
     >>> sampled = FailureAtStart(bound=1.239e-5, probability=0.95, rollouts=200, failures=81, share=0.1)
     >>> at_start_words(sampled)
-    '; from this start, with disturbances as declared, a rollout fails with probability at least 1.23e-05 (right with \
-probability 0.9500, from 200 rollouts around this failure, of which 81 fail)'
+    'from this one start, with disturbances as declared, a rollout fails with probability at least 1.23e-05 (right \
+with probability 0.9500, from 200 rollouts around this failure, of which 81 fail)'
     """
-    if found is None:
-        return ""
     shown = f"{counted(found.rollouts, 'rollout')} around this failure, of which {found.failures:,} fail"
     if not found.bound:
-        return f"; {shown}, show no probability of a failure"
+        return f"{shown}, show no probability of a failure"
     # Down, and not to so many digits after the point: a rare failure is one of 1e-9 as well.
     bound = Context(prec=3, rounding=ROUND_FLOOR).create_decimal(repr(found.bound))
     right = outward(found.probability, ">=")
     return (
-        f"; from this start, with disturbances as declared, a rollout fails with probability at least {float(bound):g} "
-        f"(right with probability {right}, from {shown})"
+        f"from this one start, with disturbances as declared, a rollout fails with probability at least "
+        f"{float(bound):g} (right with probability {right}, from {shown})"
     )
 
 
@@ -127,11 +137,11 @@ def _shrunk_words(found: Counterexample, unit: str, units: Mapping[str, str] | N
         return ""
     tried = f"{counted(near.rollouts, 'rollout')} towards {named_start(near.nominal, units)}"
     if near.rollout == found.rollout:
-        return f"; after {tried} no start that was tried on the line there fails"
+        return f"after {tried} no start that was tried on the line there fails"
     where = (
         f"{named_start(near.start, units)}, robustness {margin_words(near.robustness, unit)} (rollout {near.rollout})"
     )
-    return f"; on the line there, with this seed, the failing start next to one that passes, after {tried}: {where}"
+    return f"on the line there, with this seed, the failing start next to one that passes, after {tried}: {where}"
 
 
 def values_words(disturbances: Mapping[str, float]) -> str:

@@ -33,7 +33,7 @@ from ..assumptions.sentences import title, value_text
 from .bound_text import chance, clip_words, in_unit, margin_text, outward, short_chance, start_words, with_named_starts
 from .console_lines import hanging, heading, plain_line
 from .control_text import control_line, control_sentence
-from .refutation_text import counterexample_words, refutation_sentence, risk_sentence
+from .refutation_text import counterexample_parts, refutation_sentence, risk_sentence
 from .region_text import region_sentences
 
 # The assumptions
@@ -172,8 +172,12 @@ def print_counterexample(
 ) -> None:
     """Print the rollout that ended the campaign, if one did; `unit` and `units` as in `print_certificate`."""
     if predicate.counterexample is not None:
-        found = counterexample_words(predicate.counterexample, unit, units)
-        heading(console, f"COUNTEREXAMPLE  {found}", "bold red")
+        head = "COUNTEREXAMPLE  "
+        first, *later = counterexample_parts(predicate.counterexample, unit, units)
+        console.print()
+        hanging(console, Text(head, "bold red"), first)
+        for each in later:
+            hanging(console, Text(" " * len(head)), f"{each[0].upper()}{each[1:]}.")
 
 
 def _refuted(broken: Sequence[Assumption], whose: str, console: Console) -> None:

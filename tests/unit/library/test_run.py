@@ -10,10 +10,12 @@ from matplotlib.axes import Axes
 import perfbound as pb
 from perfbound.library import run as run_module
 from perfbound.library.run import Run
+from perfbound.library.system_argument import GivenSystem
 from perfbound.orchestrator.campaign.methods import method
 from perfbound.orchestrator.campaign.plan import plans
 from perfbound.orchestrator.store import facts as recorded_facts
 from perfbound.schemas.errors import PerfboundError
+from tests.facts import facts
 from tests.fakes import finished
 from tests.fakes.puppets import Stage
 
@@ -36,6 +38,20 @@ def test_what_a_run_has(run: Run) -> None:
     assert run.trajectory(row["rollout"]).columns == ("t", "value")
     assert run.trajectory(0).samples.shape == run.trajectory(row["rollout"]).samples.shape
     assert "probability at least" in repr(run)
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({}, "this campaign is here already; read it with"),
+        ({"versions": {"numpy": "0"}}, "another campaign is here numpy"),
+    ],
+)
+def test_a_campaign_of_changed_code_is_another_one(run: Run, changed: dict[str, object], words: str) -> None:
+    """Its old result would be read as that of the new code."""
+    system = GivenSystem(run.header.spec.declared.model_copy(update=changed), run.header.spec.name, {})
+    with pytest.raises(PerfboundError, match=facts(words)):
+        run_module.run_campaign(run.header.config, Path("c.toml"), system, run.directory, 1, progress=False)
 
 
 def test_the_posterior_at_the_candidates_is_the_band_of_the_method(run: Run) -> None:

@@ -84,6 +84,7 @@ def test_the_likeliest_failure_is_found_and_everything_follows_from_the_evidence
     assert 20 < sampled.failures < 100
     assert first.disturbances.keys() == first.likeliest.disturbances.keys() == {"gust", "drag", "wet"}
     assert says(counterexample_words(first, ""), "the likeliest failure of further rollouts is sd from the medians")
+    assert says(repr(pb.open(tmp_path)), "VERDICT VIOLATED COUNTEREXAMPLE likeliest failure probability at least CLAIM")
     (problem,) = Collector(tmp_path).refresh().problems
     assert problem.stopped_by == "counterexample"
     assert not verified(tmp_path)

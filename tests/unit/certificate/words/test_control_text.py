@@ -40,10 +40,10 @@ THREE = {"gust": 0.1, "mass": 0.09, "load": 0.09}
          "0.5000: they explain 97.6 % of the variance of a rollout, gust the largest part."),
         ({}, 0.48, GUST, "The disturbance gust raises the bound from 0.4800 to 0.5000: it explains 97.6 % of the "
                          "variance of a rollout."),
-        ({}, 0.5, GUST, "The disturbance gust explains 97.6 % of the variance of a rollout; without a control the "
-                        "same tests prove 0.5000."),
+        ({}, 0.5, GUST, "The disturbance gust explains 97.6 % of the variance of a rollout; with and without a "
+                        "control the bound is 0.5000: few rollouts lose to the range."),
         ({}, 0.51, {"gust": 0.0, "mass": 0.0}, "The declared disturbances explain 97.6 % of the variance of a "
-         "rollout; without a control the same tests prove 0.5100."),
+         "rollout; without a control the bound of the same tests would be 0.5100."),
         ({}, None, BOTH, "The declared disturbances explain 97.6 % of the variance of a rollout, most of it gust; "
                          "without a control the same tests prove nothing."),
         ({}, -0.06, GUST, "The disturbance gust explains 97.6 % of the variance of a rollout; without a control the "
