@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...schemas.batch import batch_rollouts
-from ...schemas.file.against_system import searched
 from ...schemas.ids import IMPORTANCE, RECHECK, RISK_CHECK, SPOT_CHECK, RolloutId, check_of_extension
 from ...schemas.ranges import SEED_BITS
 from ...schemas.result.facts import Header
@@ -88,7 +87,7 @@ def _short_seed(header: Header, rollout: RolloutId) -> int:
     config, bits = header.config, header.spec.seed_bits
     # Not the bisection of a counterexample: all its rollouts have the seed of that one.
     series = sorted([*(each.name for each in config.problems), SPOT_CHECK, RECHECK])
-    around = config.falsify.importance_tests if config.falsify and searched(config) else 0
+    around = config.falsify.sampled_tests if config.falsify else 0
     series += [IMPORTANCE] if around else []
     tests = max(config.spot_check + config.spot_check_followups, around, *map(config.max_tests_of, config.problems))
     replicates = max(config.spot_replicates, *map(config.replicates_of, config.problems))

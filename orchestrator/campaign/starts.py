@@ -15,7 +15,7 @@ from ...schemas.file.disturbance import Disturbance
 from ...schemas.file.parameters import parameter_ranges
 from ...schemas.file.space import Box, Range, StartTable
 from ...schemas.result.facts import Header
-from ...schemas.system import Parameter
+from ...schemas.system import Parameter, SystemSpec
 from ..mathematics.sobol import BLOCK as BLOCK_OF_SOBOL
 from ..mathematics.sobol import sobol_blocks
 from .region import Start, condition
@@ -34,6 +34,8 @@ SHARE_BLOCKS = 25
 """Blocks of the Sobol sequence that show the share of a region: 10^5 starts."""
 
 Value = TypeVar("Value")
+Column = Callable[[Floats], list[float]]
+"""The values of a parameter for shares (n,)."""
 
 
 class Draws:
@@ -110,9 +112,14 @@ def _transform(header: Header) -> tuple[int, Callable[[Floats], list[Start]]]:
         ranges, spec = parameter_ranges(space), header.spec
         columns = [_of_range(each.name, ranges[each.name]) for each in spec.own_parameters]
         # With a search over disturbances these are part of each start: a drawn one has drawn ones.
-        columns += [_of_law(law) for law in spec.disturbances if law.name in spec.as_parameters]
+        columns += drawn_disturbances(spec)
         return len(columns), _of_columns(columns)
     raise TypeError("no method that draws its starts takes a list of scenarios")
+
+
+def drawn_disturbances(spec: SystemSpec) -> list[Column]:
+    """Return what draws each disturbance that is a parameter, in the order of a start: its scores, or its choices."""
+    return [_of_law(law) for law in spec.disturbances if law.name in spec.as_parameters]
 
 
 def check_distributions(space: Box, source: str) -> None:
@@ -167,7 +174,7 @@ def _of_box(space: Box, names: list[str]) -> Callable[[Floats], list[Start]]:
     return _of_columns([_of_range(name, space[name]) for name in names])
 
 
-def _of_columns(columns: Sequence[Callable[[Floats], list[float]]]) -> Callable[[Floats], list[Start]]:
+def _of_columns(columns: Sequence[Column]) -> Callable[[Floats], list[Start]]:
     def starts(shares: Floats) -> list[Start]:
         each = [column(np.ascontiguousarray(shares[:, k])) for k, column in enumerate(columns)]
         return list(zip(*each, strict=True))

@@ -386,6 +386,11 @@ class Falsify(Model):
         """Most rollouts that look for a better counterexample."""
         return self.likeliest_tests if self.over == "disturbances" else self.shrink_tests
 
+    @property
+    def sampled_tests(self) -> int:
+        """Rollouts around the likeliest failure; 0 of a search over starts, which seeks none."""
+        return self.importance_tests if self.over == "disturbances" else 0
+
     def is_random(self, test: int) -> bool:
         """Whether no outcome chooses the start of test `test`: the last of each `random_every`."""
         return (test + 1) % self.random_every == 0

@@ -116,9 +116,9 @@ class ClosingChecks:
     def _importance(self) -> ImportanceSampling | None:
         """Return what follows the likeliest failure; None without one, or where the file leaves it out."""
         falsify, sought = self._header.config.falsify, self.shrink
-        if falsify is None or not falsify.importance_tests or not isinstance(sought, LikeliestFailure):
+        if falsify is None or not falsify.sampled_tests or not isinstance(sought, LikeliestFailure):
             return None
-        return ImportanceSampling(self._header, sought.found, sought, self._observer)
+        return ImportanceSampling(self._header, sought, self._observer)
 
     def original(self, rollout: RolloutId) -> RolloutId | None:
         """Return the rollout that a rollout of the recheck repeats; None for every other rollout."""

@@ -1,20 +1,20 @@
 """How likely a failure is at the start of the likeliest one: rollouts with disturbances around its."""
 
 from array import array
-from collections.abc import Callable
+from functools import cached_property
 
 import numpy as np
 
-from ....schemas.draws.laws import coordinate
 from ....schemas.ids import IMPORTANCE, RolloutId
-from ....schemas.result.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
+from ....schemas.result.facts import BoundFact, Header, ObservationFact, ProposalFact
 from ....schemas.values import Bound, Proposal
 from ...mathematics.bounds.one_law.weighted import DEFENSIVE, importance_weight, weighted_failure_lower
 from .. import state
 from ..observation import Observer
 from ..region import Start
-from ..seeds import Floats, rollout_seed, uniform
+from ..seeds import rollout_seed, uniform
 from ..series import Series
+from ..starts import Column, drawn_disturbances
 from .after_counterexample import AfterCounterexample
 from .likeliest import LikeliestFailure
 from .spot_check import LEVEL, WINDOW
@@ -33,17 +33,15 @@ class ImportanceSampling(AfterCounterexample):
 
     name = IMPORTANCE
 
-    def __init__(self, header: Header, found: RolloutFact, sought: LikeliestFailure, observer: Observer) -> None:
-        super().__init__(found, observer)
+    def __init__(self, header: Header, sought: LikeliestFailure, observer: Observer) -> None:
+        super().__init__(sought.found, observer)
         falsify = header.config.falsify
         assert falsify is not None, "the file asks for it"
-        self._header, self.start = header, sought.best[0]
-        self._scored = sought.scored
-        self._laws: dict[int, Callable[[Floats], Floats]] = {}
+        self._header, self.start, self._scored = header, sought.best[0], sought.scored
         self.weights = array("d")
         """Of the rollouts that fail."""
-        rollouts = ((found.rollout.variant, 0),)
-        self.plan = state.Plan(self.name, WINDOW, falsify.importance_tests, rollouts)
+        rollouts = ((self.found.rollout.variant, 0),)
+        self.plan = state.Plan(self.name, WINDOW, falsify.sampled_tests, rollouts)
 
     def proposal(self, series: Series, test: int) -> ProposalFact:  # noqa: ARG002  (no test depends on another)
         """Return the next test."""
@@ -65,15 +63,20 @@ class ImportanceSampling(AfterCounterexample):
         return weighted_failure_lower(self.weights, count, LEVEL)
 
     def _start(self, test: int) -> Start:
-        laws = self._laws = self._laws or _laws(self._header)
-        (shares,) = uniform(self._header, f"{self.name}.starts", range(test, test + 1), 1 + len(laws))
+        (shares,) = uniform(self._header, f"{self.name}.starts", range(test, test + 1), 1 + len(self._columns))
         start, moved = list(self.start), shares[0] >= DEFENSIVE
-        for share, (place, drawn) in zip(shares[1:], laws.items(), strict=True):
-            (value,) = drawn(np.array([share])).tolist()
+        first = len(start) - len(self._columns)
+        for place, (share, drawn) in enumerate(zip(shares[1:], self._columns, strict=True), first):
+            (value,) = drawn(np.array([share]))
             if moved and place in self._scored:
                 value += self.start[place]
             start[place] = min(max(value, -REACH), REACH) if place in self._scored else value
         return tuple(start)
+
+    @cached_property
+    def _columns(self) -> list[Column]:
+        # Once they are needed: scipy takes a second to load.
+        return drawn_disturbances(self._header.spec)
 
     def _weight(self, start: Start) -> float:
         scores = [start[place] for place in self._scored]
@@ -81,10 +84,3 @@ class ImportanceSampling(AfterCounterexample):
         if max(map(abs, scores), default=0.0) >= REACH:
             return 0.0
         return importance_weight(scores, [self.start[place] for place in self._scored])
-
-
-def _laws(header: Header) -> dict[int, Callable[[Floats], Floats]]:
-    """Return what draws the scores, or the choices, of each disturbance, by its place in a start."""
-    first, spec = len(header.spec.own_parameters), header.spec
-    laws = {law.name: law for law in spec.disturbances}
-    return {first + k: coordinate(laws[name]) for k, name in enumerate(spec.as_parameters)}

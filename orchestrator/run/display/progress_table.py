@@ -82,7 +82,7 @@ def progress_table(
             SPOT_CHECK: config.spot_check + config.spot_check_followups,
             RISK_CHECK: config.spot_check_followups,
             SHRINK: config.falsify.improving_tests if config.falsify else 0,
-            IMPORTANCE: config.falsify.importance_tests if config.falsify else 0,
+            IMPORTANCE: config.falsify.sampled_tests if config.falsify else 0,
             RECHECK: config.recheck,
         }[closing_check(name) or name]
         end = "ended" if progress.stopped_by else f"of at most {most:,} tests"

@@ -32,11 +32,11 @@ beforehand are allowed.
 """
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+from ...blocks import blocks
 from ...gp.kernels import Floats
 
 CAP = 0.95
@@ -115,17 +115,12 @@ def plan_weights(to_nodes: Floats, kernel: Floats, counts: Floats, terms: Weight
     planned = counts > 0
     inner, n = kernel[np.ix_(planned, planned)], counts[planned]
     found, losses = np.zeros_like(to_nodes), np.empty(len(to_nodes))
-    for part in _parts(len(to_nodes), len(n)):
+    for part in blocks(len(to_nodes), (len(n) + 1) ** 2, NUMBERS):
         plan = _Plan(to_nodes[part][:, planned], inner, n, terms)
         plan.minimise()
         found[part, planned] = plan.w / (plan.kappa[:, None] * terms.rkhs_norm * n)
         losses[part] = terms.rkhs_norm * plan.loss(plan.w, plan.kappa)
     return found, losses
-
-
-def _parts(nodes: int, points: int) -> Iterator[slice]:
-    size = max(NUMBERS // (points + 1) ** 2, 1)
-    return (slice(first, first + size) for first in range(0, nodes, size))
 
 
 class _Plan:
