@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import norm
 
 import perfbound as pb
+from perfbound.orchestrator.campaign.closing import importance
 from perfbound.orchestrator.campaign.starts import Draws
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.words.refutation_text import counterexample_words
@@ -120,6 +121,19 @@ def test_rollouts_around_the_failure_are_drawn_at_its_start_alone(tmp_path: Path
     assert {start[4] for start in starts} == {0.0, 1.0}, "choices follow their law"
     seeds = [fact.seed for fact in facts if isinstance(fact, RolloutFact) and fact.rollout.problem == IMPORTANCE]
     assert len(set(seeds)) == 100
+
+
+def test_scores_beyond_the_reach_count_for_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Many draws are one start there, whose weight would be that of none of them."""
+    monkeypatch.setattr(importance, "REACH", 2.3)
+    simulate(tmp_path, a_campaign(falsify=FEW), corner, noisy=True, system=WINDY)
+    first = predicate(tmp_path).counterexample
+    assert first is not None
+    assert first.likeliest is not None
+    assert first.likeliest.at_start is not None
+    assert first.likeliest.at_start.failures > 10
+    within = (norm.cdf(2.3) - norm.cdf(2.2)) * (norm.cdf(2.3) - norm.cdf(2.0))
+    assert first.likeliest.at_start.bound <= within
 
 
 def test_short_seeds_serve_them_as_well(tmp_path: Path) -> None:
