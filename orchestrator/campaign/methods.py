@@ -96,12 +96,12 @@ def _one_method(plan: ProblemPlan, header: Header) -> OneMethod:
                 disturbed=disturbed(plan, header, plan.budget * plan.replicates),
             )
         case SampleProblem():
-            known = disturbed(plan, header, plan.budget)
+            known = disturbed(plan, header, plan.samples)
             return SampleMethod(
                 [_terms(plan, claim, known) for claim in plan.claims],
                 Draws(header, plan.name).start,
                 # An exact bound needs a number of samples that no outcome decides, and a counterexample decides it.
-                fixed=None if plan.until_counterexample else plan.budget,
+                fixed=None if plan.until_counterexample else plan.samples,
                 largest=plan.sense == "max",
             )
 
@@ -231,7 +231,7 @@ def bases(spec: SystemSpec) -> tuple[Basis, ...]:
 
 
 class _Scores:
-    """The scores of the rollouts of a problem, by the number of their test; they follow from the seeds."""
+    """The scores of the rollouts of a problem; they follow from the seeds."""
 
     def __init__(self, plan: ProblemPlan, header: Header) -> None:
         self._plan, self._header, self._template = plan, header, header.template
@@ -239,9 +239,9 @@ class _Scores:
         self._variant = max(set(plan.variants) & set(header.spec.noisy))
         self._block: tuple[int, Floats] = (-1, np.empty(0))
 
-    def of(self, test: int) -> Floats:
-        """Return the scores of the replicates of a test (b, k)."""
-        block, place = divmod(test, self._tests)
+    def of(self, number: int) -> Floats:
+        """Return the scores of the replicates (b, k) of a test, by its number among those that enter the bound."""
+        block, place = divmod(self._plan.test_of(number), self._tests)
         if self._block[0] != block:
             self._block = block, self._drawn(block * self._tests)
         found: Floats = self._block[1][place]

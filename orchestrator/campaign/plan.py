@@ -157,6 +157,15 @@ class ProblemPlan:
         return self.candidates is not None or self.is_drawn(test)
 
     @property
+    def samples(self) -> int:
+        """Tests at most that enter the bound."""
+        return self.budget if self.candidates is not None or self.falsify is None else self.falsify.random(self.budget)
+
+    def test_of(self, number: int) -> int:
+        """Return the test whose observation is the one with this number among those that enter the bound."""
+        return number if self.candidates is not None or self.falsify is None else self.falsify.random_test(number)
+
+    @property
     def exact(self) -> bool:
         """Whether an observation is the objective itself: R = 0, which method `rigorous` alone has."""
         if self.parts:

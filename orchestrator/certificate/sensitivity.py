@@ -148,7 +148,10 @@ def _bound_again(fresh: ProblemMethod, account: Account) -> Bound:
     if isinstance(fresh, PaperMethod | RigorousMethod | KrigingMethod):
         return fresh.bound_after(account.closed)
     # The starts of other methods are not kept: their numbers are enough.
-    return fresh.observe_each(np.array(account.nodes), np.array(account.observations), np.array(account.each[:]))
+    nodes, y, each = np.array(account.nodes), np.array(account.observations), np.array(account.each[:])
+    # Starts that a search chose enter no claim of drawn ones.
+    taken = np.fromiter(map(account.plan.is_evidence, range(len(nodes))), np.bool_, len(nodes))
+    return fresh.observe_each(nodes[taken], y[taken], each[taken])
 
 
 def _with_constant(plan: ProblemPlan, constant: Constant, factor: float) -> ProblemPlan | None:

@@ -394,3 +394,11 @@ class Falsify(Model):
     def is_random(self, test: int) -> bool:
         """Whether no outcome chooses the start of test `test`: the last of each `random_every`."""
         return (test + 1) % self.random_every == 0
+
+    def random(self, tests: int) -> int:
+        """Return for how many of the first tests `is_random` holds."""
+        return tests // self.random_every
+
+    def random_test(self, number: int) -> int:
+        """Return the test that is the one with this number, from 0 on, of those for which `is_random` holds."""
+        return (number + 1) * self.random_every - 1

@@ -97,7 +97,7 @@ class Disturbed:
 
     bases: tuple[Basis, ...]
     scores: Callable[[int], Floats]
-    """The scores of the rollouts of a test, by its number (b, k)."""
+    """The scores of the rollouts of a test (b, k), by its number among those that the method has observed."""
     planned: int = 1
     """Number of values that are planned, where each is bounded as one of one law."""
 

@@ -3,16 +3,21 @@
 import itertools
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import perfbound as pb
+from perfbound.orchestrator.campaign.methods import method
 from perfbound.orchestrator.campaign.plan import plans
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.words.text import notes
+from perfbound.orchestrator.mathematics.bounds.sample import SampleMethod
 from perfbound.orchestrator.run import service
+from perfbound.orchestrator.store import facts
+from perfbound.orchestrator.store.read import read_header, reading
 from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.result.certificate import Predicate
 from perfbound.schemas.rollout import RolloutRequest
@@ -53,6 +58,28 @@ def predicate(directory: Path) -> Predicate:
     found = files.read(directory)
     assert found is not None
     return found.predicate
+
+
+@pytest.mark.rest
+def test_beside_a_search_a_control_explains_the_drawn_tests_alone(tmp_path: Path) -> None:
+    # Half of the tests, each with the disturbances of its own seed.
+    campaign = of_samples(max_tests=200, falsify={"random_every": 2})
+    simulate(tmp_path / "on", campaign, windy, noisy=True, system=WINDY)
+    on = predicate(tmp_path / "on")
+    (found,) = on.problems
+    assert found.control is not None
+    assert found.control.explained > 0.7
+    # Starts that the search chose are no samples, without a control as with one.
+    with reading(tmp_path / "on") as connection:
+        header = read_header(connection, tmp_path / "on")
+    (plan,) = plans(header.config, header.spec).values()
+    without = method(replace(plan, controlled=False), header)
+    tests = [each for each in facts.history(tmp_path / "on")["robustness"] if plan.is_drawn(each.test)]
+    assert isinstance(without, SampleMethod)
+    without.recall([(each.proposal, each.observation) for each in tests])
+    assert (upper := without.bound().upper) is not None
+    assert (on.sensitivity or ())[0].bound == pytest.approx(-upper)
+    assert not verified(tmp_path / "on")
 
 
 @pytest.mark.rest
