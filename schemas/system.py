@@ -154,6 +154,14 @@ class SystemSpec(Model, metaclass=Written):
         description="whether rollouts of the `noisy` variants depend on their seed besides the disturbances",
     )
 
+    reported: tuple[Disturbance, ...] = Field(
+        default=(),
+        max_length=MAX_DISTURBANCES,
+        exclude_if=lambda reported: not reported,
+        description="what the system draws by itself in the `noisy` variants: each is the first sample of the column "
+        "of its name",
+    )
+
     signals: tuple[SignalShape, ...] = Field(
         default=(),
         exclude_if=lambda signals: not signals,
@@ -192,6 +200,24 @@ class SystemSpec(Model, metaclass=Written):
             taken.add(name)
         if SCORED in {each.unit for each in self.disturbances}:
             raise ValueError(f"disturbances: {SCORED!r} is the unit of scores; give one of them another unit")
+        return self
+
+    @model_validator(mode="after")
+    def _reported(self) -> "SystemSpec":
+        if self.reported and not (self.noisy or self.disturbed):
+            raise ValueError("reported: no variant is noisy, so that none draws a number")
+        if self.reported and not self.residual:
+            raise ValueError("residual: false is not for a system that draws numbers by itself; leave it out")
+        units = {column.name: column.unit for column in self.columns if column.name in self.own_columns[1:]}
+        for name, unit in ((each.name, each.unit) for each in self.reported):
+            if name not in units:
+                raise ValueError(f"reported: {name!r} is no column; add it, with the number in its first sample")
+            if name in {each.name for each in self.disturbances}:
+                raise ValueError(f"reported: {name} is drawn by the campaign; remove it from here or from disturbances")
+            if unit != units[name]:
+                raise ValueError(f"reported: {name} is in {unit or 'no unit'!r}, and its column in {units[name]!r}")
+        if len({each.name for each in self.reported}) < len(self.reported):
+            raise ValueError("reported: every number needs a column of its own")
         return self
 
     @model_validator(mode="after")
@@ -307,6 +333,11 @@ class SystemSpec(Model, metaclass=Written):
     def drawn_places(self) -> tuple[int, ...]:
         """Their places among the disturbances."""
         return tuple(k for k, law in enumerate(self.disturbances) if law.name not in self.as_parameters)
+
+    @property
+    def explaining(self) -> tuple[Disturbance, ...]:
+        """The disturbances of a rollout whose values are known: those that are drawn, then those that it reports."""
+        return (*self.drawn, *self.reported)
 
     @property
     def own_columns(self) -> tuple[str, ...]:

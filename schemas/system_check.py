@@ -71,6 +71,7 @@ class Measured(Model):
     beginning_sha256: str = ""
     file_bytes: int = 0
     grid: SampleTimes | None = None
+    reported: tuple[float, ...] = Field(default=(), description="disturbances that the rollout reports")
     seconds: float = Field(default=0.0, description="of the rollout, or of one more rollout of a batch")
     differences: tuple[BatchDifference, ...] = Field(default=(), description="of a batch")
     memory: int = Field(default=0, description="bytes of the process and those it started in memory, after the rollout")

@@ -41,7 +41,8 @@ class Observation:
     """y of a test, and the contribution of each replicate to it, in the order of the replicates.
 
     `each` has the values of J whose mean is y; in methods `scenario` and `sample`, and for the sample risk of method
-    `paper`, it has the robustness. In method `sample` that of each requirement follows, where there are several.
+    `paper`, it has the robustness. In method `sample` that of each requirement follows, where there are several. Last,
+    where rollouts report disturbances and a control takes them, are the values that each replicate reports.
     """
 
     y: float

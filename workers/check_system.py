@@ -112,7 +112,8 @@ def _measured(trial: Trial, kept: Path | None) -> Measured:
         if trial.batch is not None:
             found = compared(requested_system(request), trial.batch)
             return Measured(differences=found.differences, seconds=found.seconds)
-        payload = run_request_on(requested_system(request), request, lambda _: None)
+        system = requested_system(request)
+        payload = run_request_on(system, request, lambda _: None)
         seconds = time.perf_counter() - started
         if len(payload) > MAX_RESULT:
             raise SimulationError(f"the trajectory's file has {len(payload)} bytes, more than the {MAX_RESULT} allowed")
@@ -130,6 +131,9 @@ def _measured(trial: Trial, kept: Path | None) -> Measured:
         beginning_sha256=_samples_sha256(trajectory.samples[t <= trial.beginning + ROUND_OFF]),
         file_bytes=len(payload),
         grid=_grid(trajectory, request.horizon),
+        reported=tuple(
+            float(trajectory.samples[0, trajectory.columns.index(each.name)]) for each in system.spec.reported
+        ),
         seconds=seconds,
     )
 

@@ -10,11 +10,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ...schemas.draws.laws import ReportedLaw
+from ...schemas.file.disturbance import Disturbance
 from ...schemas.file.problem_models import RigorousProblem
 from ...schemas.result.facts import Header
 from ...schemas.values import Bound
 from ..mathematics.bounds.checks import audit
 from ..mathematics.bounds.checks.audit import Finding
+from ..mathematics.bounds.checks.law import LawTest
 from ..mathematics.bounds.checks.stationarity import AdaptiveOrderTest
 from .bounded_parts import bounded_accounts
 from .methods import Methods
@@ -73,10 +76,39 @@ class OneLaw:
             self._order.observe_each(0, np.array(tests)[taken], values[taken])
         else:
             for test in tests:
-                for value in each[test]:
+                for value in self.plan.values_of(each[test]):
                     self._order.observe(nodes[test], test, value)
         self.taken = len(nodes)
         return self._order.finding()
+
+
+@dataclass(slots=True)
+class DeclaredLaws:
+    """The test that what rollouts report has the laws that the system declares; each closed test is taken once."""
+
+    plan: ProblemPlan
+    laws: tuple[Disturbance, ...]
+    taken: int = 0
+    _test: LawTest = field(init=False)
+    _known: list[ReportedLaw] = field(init=False)
+    # Independent of the values: any fixed sequence is.
+    _between: np.random.Generator = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Begin without a number."""
+        self._test, self._known = LawTest(len(self.laws)), list(map(ReportedLaw, self.laws))
+        self._between = np.random.default_rng(0)
+
+    def finding(self, each: Rows) -> Finding:
+        """Take the closed tests that are new, and return the finding about all of them."""
+        tests = [row[len(self.plan.values_of(row)) :] for row in each[self.taken :]]
+        self.taken = len(each)
+        if tests:
+            values = np.array(tests).reshape(-1, len(self.laws))
+            between = self._between.random(values.shape)
+            pairs = zip(self._known, values.T, between.T, strict=True)
+            self._test.observe(np.column_stack([law.shares(*numbers) for law, *numbers in pairs]))
+        return self._test.finding()
 
 
 # The refutation that ends a problem of a campaign with `on_refuted = "stop"`. It follows from the tests in their order,
@@ -93,6 +125,8 @@ class Refutation:
         self._account, self._methods = account, methods
         self._is_noisy = not set(header.spec.noisy).isdisjoint(account.plan.variants)
         self._laws: dict[str, OneLaw] = {}
+        plan = account.plan
+        self._reported = None if plan.reports is None else DeclaredLaws(plan, header.spec.reported)
 
     def ended(self, bound: Bound) -> Bound:
         """Return the bound after the last closed test, which ends the problem if an assumption is refuted there."""
@@ -101,6 +135,8 @@ class Refutation:
         return replace(bound, verdict="refuted") if self._is_refuted() else bound
 
     def _is_refuted(self) -> bool:
+        if self._reported is not None and self._reported.finding(self._account.each).status == "refuted":
+            return True
         accounts: Mapping[str, Account] = bounded_accounts({self._account.plan.key: self._account}, self._methods)
         return any(self._refutes(key, account) for key, account in accounts.items())
 

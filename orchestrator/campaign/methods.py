@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 
+from ...schemas.draws.laws import ReportedLaw
 from ...schemas.errors import CampaignError
 from ...schemas.file.drawn_claims import DrawnClaim
 from ...schemas.file.problem_models import (
@@ -220,27 +221,37 @@ def disturbed(plan: ProblemPlan, header: Header, values: int = 1) -> Disturbed |
     """
     if not plan.controlled:
         return None
-    return Disturbed(bases(header.spec), _Scores(plan, header).of, values)
+    reported = 0 if plan.reports is None else len(plan.reports.columns)
+    return Disturbed(bases(header.spec), _Scores(plan, header).of, values, reported)
 
 
 def bases(spec: SystemSpec) -> tuple[Basis, ...]:
-    """Return the functions of each disturbance that is drawn, of which there is one at least."""
-    laws = spec.drawn
+    """Return the functions of each disturbance whose value is known, of which there is one at least."""
+    laws = spec.explaining
     knots = min(max(MOST_FUNCTIONS // len(laws), 2), MOST_KNOTS)
     return tuple(choice_basis(law.shares, knots) if law.choices else normal_basis(knots) for law in laws)
 
 
 class _Scores:
-    """The scores of the rollouts of a problem; they follow from the seeds."""
+    """The scores of the rollouts of a problem; they follow from the seeds, and from what rollouts report."""
 
     def __init__(self, plan: ProblemPlan, header: Header) -> None:
         self._plan, self._header, self._template = plan, header, header.template
         self._tests = max(AT_ONCE // plan.replicates, 1)
         self._variant = max(set(plan.variants) & set(header.spec.noisy))
         self._block: tuple[int, Floats] = (-1, np.empty(0))
+        self._laws = list(map(ReportedLaw, header.spec.reported))
 
-    def of(self, number: int) -> Floats:
-        """Return the scores of the replicates (b, k) of a test, by its number among those that enter the bound."""
+    def of(self, number: int, reported: Floats) -> Floats:
+        """Return the scores of the replicates (b, k) of a test, by its number among those that enter the bound.
+
+        `reported` (b, m) is what they report.
+        """
+        told = [law.scores(values) for law, values in zip(self._laws, reported.T, strict=True)]
+        drawn = self._of_seeds(number) if self._header.spec.drawn else np.empty((len(reported), 0))
+        return np.column_stack([drawn, *told])
+
+    def _of_seeds(self, number: int) -> Floats:
         block, place = divmod(self._plan.test_of(number), self._tests)
         if self._block[0] != block:
             self._block = block, self._drawn(block * self._tests)

@@ -157,10 +157,14 @@ class Observer:
             ValueError: a value is not finite, or two trajectories have different time grids.
 
         """
+        found = self._observed(plan, trajectories)
+        return found if plan.reports is None else with_reports(found, plan, trajectories)
+
+    def _observed(self, plan: ProblemPlan, trajectories: Trajectories) -> Observation:
         if plan.parts:
-            return _together([self.observe(part, trajectories) for part in plan.parts])
+            return _together([self._observed(part, trajectories) for part in plan.parts])
         if plan.requirement is not None and plan.requirement in self._parts:
-            return self._parts[plan.requirement].observe(plan, trajectories)
+            return self._parts[plan.requirement]._observed(plan, trajectories)
         match plan.objective.measured:
             case "robustness":
                 return self._risk(plan, trajectories) if plan.objective.risk else self._robustness(plan, trajectories)
@@ -232,6 +236,18 @@ class Observer:
         return [value for value in values if value is not None]
 
 
+def with_reports(observation: Observation, plan: ProblemPlan, trajectories: Trajectories) -> Observation:
+    """Return an observation with what its rollouts report of their disturbances, at the end of its contributions."""
+    assert plan.reports is not None
+    variant, columns = plan.reports
+    found = [
+        float(trajectories[plan.replicate(variant, replicate)].samples[0, column])
+        for replicate in range(plan.replicates)
+        for column in columns
+    ]
+    return Observation(observation.y, (*observation.each, *found))
+
+
 def _together(each: Sequence[Observation]) -> Observation:
     """Return the observations of the requirements as one: of the largest J, followed by the replicates of each."""
     return Observation(max(one.y for one in each), tuple(value for one in each for value in one.each))
@@ -244,10 +260,13 @@ def by_requirement(plan: ProblemPlan, observation: Observation) -> list[Observat
 
 def of_requirement(plan: ProblemPlan, place: int, observation: Observation) -> Observation:
     """Return the observation of one of its requirements, by its place among them."""
-    width = len(observation.each) // len(plan.parts)
-    each = observation.each[place * width : (place + 1) * width]
+    values = plan.values_of(observation.each)
+    width = len(values) // len(plan.parts)
+    each = values[place * width : (place + 1) * width]
     mean = objectives.mean(list(each))
-    return Observation(-mean if replicates_are_robustness(plan.name, plan.problem.method) else mean, each)
+    y = -mean if replicates_are_robustness(plan.name, plan.problem.method) else mean
+    # Each has the same rollouts.
+    return Observation(y, (*each, *observation.each[len(values) :]))
 
 
 def _mean(each: list[float]) -> Observation:
@@ -284,7 +303,8 @@ def observed_scores(plan: ProblemPlan, rollouts: Sequence[RolloutFact]) -> Obser
 def is_robustness(plan: ProblemPlan) -> bool:
     """Whether a test follows from the recorded robustness of its rollouts."""
     whole = not plan.parts and not plan.requirements and plan.requirement is None
-    return whole and plan.objective.measured == "robustness" and plan.problem.method != "paper"
+    of_trajectories = plan.reports is not None or plan.problem.method == "paper"
+    return whole and plan.objective.measured == "robustness" and not of_trajectories
 
 
 def _of_robustness(plan: ProblemPlan, values: Floats) -> tuple[Floats, Floats]:

@@ -2,9 +2,10 @@
 
 import math
 from collections import Counter
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -52,6 +53,13 @@ PLANNED_BLOCKS = 64
 """Blocks in flight, for the same reason."""
 
 
+class Reports(NamedTuple):
+    """What rollouts report of their disturbances: those of a variant, in the first samples of some columns."""
+
+    variant: Variant
+    columns: tuple[int, ...]
+
+
 @dataclass(frozen=True, slots=True)
 class ProblemPlan:
     """One problem before its first test."""
@@ -96,6 +104,8 @@ class ProblemPlan:
     """Whether no rollout of its variants depends on the seed."""
     controlled: bool = False
     """Whether a control takes out what the declared disturbances explain."""
+    reports: Reports | None = None
+    """Of rollouts that report disturbances, where a control takes these."""
     requirements: tuple[str, ...] = ()
     """Names of the requirements that are claimed beside the whole specification, where starts are drawn."""
     until_counterexample: bool = False
@@ -155,6 +165,15 @@ class ProblemPlan:
     def is_evidence(self, test: int) -> bool:
         """Whether a test enters the bound; where starts are drawn, one that a search proposed does not."""
         return self.candidates is not None or self.is_drawn(test)
+
+    @property
+    def reported(self) -> int:
+        """Numbers at the end of the contributions to a test that are no values, but what its rollouts report."""
+        return 0 if self.reports is None else self.replicates * len(self.reports.columns)
+
+    def values_of(self, each: Sequence[float]) -> Sequence[float]:
+        """Return the contributions to a test without what its rollouts report."""
+        return each[: len(each) - self.reported]
 
     @property
     def samples(self) -> int:
@@ -328,9 +347,8 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
         gradual=most_kept(config.keep) is not None,
         box=isinstance(config.space, dict),
         deterministic=not set(variants) & set(spec.noisy),
-        controlled=config.control == "on"
-        and bool(spec.drawn and set(variants) & set(spec.noisy))
-        and _bets_on_means(problem, config),
+        controlled=(controlled := _is_controlled(config, spec, problem, variants)),
+        reports=_reports(spec, variants) if controlled and spec.reported else None,
         requirements=tuple(each.name for each in config.specifications),
         until_counterexample=config.until_counterexample,
         parts=tuple(parts),
@@ -351,6 +369,16 @@ def _candidates(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> L
         return spread_points(names, ends, starts, config.where)
     low, high = zip(*ends, strict=True)
     return Lattice(low, high, config.resolution_of(problem))
+
+
+def _reports(spec: SystemSpec, variants: Collection[Variant]) -> Reports:
+    columns = [column.name for column in spec.columns]
+    return Reports(max(set(variants) & set(spec.noisy)), tuple(columns.index(each.name) for each in spec.reported))
+
+
+def _is_controlled(config: CampaignConfig, spec: SystemSpec, problem: Problem, variants: Collection[Variant]) -> bool:
+    known = bool(spec.explaining and set(variants) & set(spec.noisy))
+    return config.control == "on" and known and _bets_on_means(problem, config)
 
 
 def _bets_on_means(problem: Problem, config: CampaignConfig) -> bool:

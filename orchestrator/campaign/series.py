@@ -382,8 +382,8 @@ class Account(Series):
             by_test: dict[int, dict[tuple[str, int], float]] = {}
             for each in self.last_rollouts:
                 by_test.setdefault(each.rollout.test, {})[each.rollout[2:]] = each.robustness or 0.0
-            for test, gaps in enumerate(fact.contributions.tolist(), start=fact.test):
-                self.excess = max(self.excess, objectives.excess(self.plan, by_test[test], gaps))
+            for test, each in enumerate(fact.contributions.tolist(), start=fact.test):
+                self.excess = max(self.excess, objectives.excess(self.plan, by_test[test], self.plan.values_of(each)))
         margins = [each.robustness[each.succeeded] for each in batches if each.robustness is not None]
         number = sum(int(each.succeeded.sum()) if each.kept is None else len(each.kept) for each in batches)
         self._take(fact.test, np.concatenate(margins) if margins else np.empty(0), number)
@@ -397,7 +397,8 @@ class Account(Series):
         if self.plan.objective.measured == "gap":
             # The composition needs a gap that dominates the robustness difference in every pair: checked by the audit.
             robustness = {(each.rollout.variant, each.rollout.replicate): each.robustness or 0.0 for each in rollouts}
-            self.excess = max(self.excess, objectives.excess(self.plan, robustness, fact.observation.each))
+            gaps = self.plan.values_of(fact.observation.each)
+            self.excess = max(self.excess, objectives.excess(self.plan, robustness, gaps))
         margins = [each.robustness for each in rollouts if each.robustness is not None]
         self._take(fact.test, np.array(margins), sum(each.kept for each in rollouts))
         return rollouts

@@ -82,7 +82,7 @@ def _control(method: ProblemMethod, header: Header) -> document.ControlResult | 
                 levels=tuple(tuple(map(_digits, row)) for row in levels.tolist()),
             )
             for law, basis, levels, deviation in zip(
-                header.spec.drawn, control.bases, control.levels, control.deviations, strict=True
+                header.spec.explaining, control.bases, control.levels, control.deviations, strict=True
             )
         ),
     )

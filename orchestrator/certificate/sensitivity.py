@@ -20,7 +20,7 @@ from ...schemas.values import Bound
 from ..campaign.clip import by_clip, floored, is_vacuous, least_risk, of_drawn_starts
 from ..campaign.methods import Methods, ProblemMethod, method
 from ..campaign.plan import Plans, ProblemPlan
-from ..campaign.series import Account
+from ..campaign.series import Account, Rows
 from ..mathematics.bounds.kriging.method import KrigingMethod
 from ..mathematics.bounds.paper.method import PaperMethod
 from ..mathematics.bounds.rigorous.method import RigorousMethod
@@ -134,7 +134,7 @@ def _varied(
         # A kernel can be out of the range of the mathematics with another constant; then it gives no bound.
         try:
             fresh = method(changed, header)
-            again = _bound_again(fresh, account)
+            again = _bound_again(fresh, account if changed.controlled else _of_values(account))
         except ValueError:
             continue
         if again.upper is None or again.verdict == "refuted":
@@ -142,6 +142,12 @@ def _varied(
         methods[name] = fresh
         found[name] = results[name].model_copy(update={"bound": in_sense(changed.sense, again.upper)})
     return Varied(found, methods)
+
+
+def _of_values(account: Account) -> Account:
+    """Return an account for a method that knows of no disturbance."""
+    plan = account.plan
+    return account if plan.reports is None else replace(account, each=Rows(map(plan.values_of, account.each)))
 
 
 def _bound_again(fresh: ProblemMethod, account: Account) -> Bound:

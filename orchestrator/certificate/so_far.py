@@ -12,12 +12,12 @@ from ...schemas.file.bases import bases
 from ...schemas.result.certificate import Assumption, Predicate
 from ...schemas.result.facts import Header
 from ...schemas.result.known import CampaignVerdict, Violations
-from ..campaign.assumption_tests import OneLaw
+from ..campaign.assumption_tests import DeclaredLaws, OneLaw
 from ..campaign.bounded_parts import bounded_accounts
 from ..campaign.ledger import Ledger, failed_attempts
 from ..campaign.series import Account
 from .assumptions.audit import ClosingResults, assumptions
-from .assumptions.sampled import noisy_variants, one_law
+from .assumptions.sampled import declared_laws, noisy_variants, one_law
 from .assumptions.sentences import assumption
 from .claims import claims, of_listed_starts
 from .closing_checks import recheck, spot_check
@@ -53,6 +53,7 @@ class AuditSoFar:
 
     ledger: Ledger
     _laws: dict[str, OneLaw] = field(default_factory=dict)
+    _reported: dict[str, DeclaredLaws] = field(default_factory=dict)
 
     def holding(
         self, violations: Violations, values: Callable[[], Values], *, unit: str, irreproducible: int
@@ -99,6 +100,10 @@ class AuditSoFar:
         yield assumption(f"independent_rollouts/{plan.key}", "assumed", values)
         law = self._laws.setdefault(plan.key, OneLaw(plan))
         yield one_law(plan, law.finding(account.nodes, account.each))
+        if plan.reports is not None:
+            declared = self.ledger.header.spec.reported
+            reported = self._reported.setdefault(plan.key, DeclaredLaws(plan, declared))
+            yield declared_laws(plan, declared, reported.finding(account.each))
 
     def _predicate(self, accounts: Mapping[str, Account], found: list[Assumption]) -> Predicate | None:
         """Return the first claim and the problems as a certificate would have them now.

@@ -24,6 +24,10 @@ from .distributions import frozen, to_digits, truncated
 
 Floats = NDArray[np.float64]
 Inverse = Callable[[Floats], Floats]
+TOLERANCE = 1e-6
+"""Of a reported value, as a share of the distance between the quartiles of its law, or of its choices."""
+LEAST_SHARE = 2.0**-53
+"""As of `open_shares`: no score is infinite."""
 DIGITS = 9
 """Significant digits of a drawn value: its last bits may differ between machines, and requests should not."""
 
@@ -136,6 +140,71 @@ def of_scores(law: Disturbance) -> Inverse:
     return _rounded(law, lambda scores: exact(ndtr(scores)))
 
 
+class ReportedLaw:
+    """The law of a disturbance that a system draws and reports: where its values are in it.
+
+    Raises:
+        ValueError: as `check_law`.
+
+    >>> ReportedLaw(Disturbance(low=0.0, high=10.0)).shares([2.5, 11.0], [0.5, 0.5]).tolist()
+    [0.25, nan]
+
+    """
+
+    def __init__(self, law: Disturbance) -> None:
+        self._choices = np.array(law.choices or ())
+        if law.choices is not None:
+            self._ends = np.cumsum([0.0, *law.shares])
+            self._spare = TOLERANCE * float(np.ptp(self._choices))
+            return
+        self._score, before = _score_of(law), _before(law)
+        (least, most), (low, high) = before.support(), _ends(law)
+        self._low, self._high = max(low, float(least)), min(high, float(most))
+        self._cdf, self._first, self._last = before.cdf, before.cdf(self._low), before.cdf(self._high)
+        self._spare = TOLERANCE * float(before.ppf(0.75) - before.ppf(0.25))
+
+    def shares(self, values: ArrayLike, between: ArrayLike) -> Floats:
+        """Return the shares (n,) of values (n,): F of each, or a share within the step of F at a choice.
+
+        `between` (n,) are numbers in [0, 1] that say where in the step. Of values that keep the law, and independent
+        uniform numbers `between`, the shares are uniform. A value that the law does not have gives NaN; one up to
+        `TOLERANCE` beside it counts as the nearest one that it has.
+        """
+        found = np.asarray(values, dtype=np.float64)
+        if len(self._choices):
+            places = _nearest(self._choices, found)
+            steps = self._ends[places + 1] - self._ends[places]
+            there = np.abs(self._choices[places] - found) <= self._spare
+            return np.where(there, self._ends[places] + np.asarray(between) * steps, math.nan)
+        there = (found >= self._low - self._spare) & (found <= self._high + self._spare)
+        return np.where(there, self._inside(found), math.nan)
+
+    def scores(self, values: ArrayLike) -> Floats:
+        """Return the scores (n,) of values (n,), see `Laws.scores`; of one that the law does not have the nearest."""
+        found = np.asarray(values, dtype=np.float64)
+        if len(self._choices):
+            return _nearest(self._choices, found).astype(np.float64)
+        from scipy.special import ndtri  # noqa: PLC0415  (as above)
+
+        most = -float(ndtri(LEAST_SHARE))
+        if self._score is not None:
+            return np.clip(self._score(found), -most, most)
+        return np.asarray(ndtri(np.clip(self._inside(found), LEAST_SHARE, 1.0 - LEAST_SHARE)))
+
+    def _inside(self, values: Floats) -> Floats:
+        shares = (self._cdf(np.clip(values, self._low, self._high)) - self._first) / (self._last - self._first)
+        return np.asarray(np.clip(shares, 0.0, 1.0))
+
+
+def _nearest(choices: Floats, values: Floats) -> NDArray[np.intp]:
+    """Return the place of the nearest choice of each value (n,)."""
+    order = np.argsort(choices, kind="stable")
+    ordered = choices[order]
+    middles = (ordered[1:] + ordered[:-1]) / 2.0
+    found: NDArray[np.intp] = order[np.searchsorted(middles, values)]
+    return found
+
+
 def outside(law: Disturbance, low: float, high: float, *, scored: bool) -> float:
     """Return the probability of a value that is not in [low, high], of a law without choices.
 
@@ -148,11 +217,7 @@ def outside(law: Disturbance, low: float, high: float, *, scored: bool) -> float
 
     if scored:
         return float(stats.norm.cdf(low) + stats.norm.sf(high))
-    least, most = _ends(law)
-    if law.scipy is not None:
-        before = _of_scipy(law)
-    else:
-        before = frozen(law.distribution, law.described, least, most) or stats.uniform(least, most - least)
+    (least, most), before = _ends(law), _before(law)
     ends = [(least, low), (high, most)]
     # From either side, so that no tail is a difference of numbers near 1.
     tails = [abs(of(b) - of(a)) for (a, b), of in zip(ends, (before.cdf, before.sf), strict=True)]
@@ -186,9 +251,30 @@ def _by_score(law: Disturbance) -> Inverse | None:
     return None
 
 
+def _score_of(law: Disturbance) -> Inverse | None:
+    """Return the scores of values, where a formula has them: the inverse of `_by_score`."""
+    if _by_score(law) is None:
+        return None
+    if law.distribution == "normal":
+        mean, sd = law.described["mean"], law.described["sd"]
+        return lambda values: (values - mean) / sd
+    median, sigma = law.described["median"], law.described["sigma"]
+    return lambda values: np.log(np.maximum(values, math.ulp(0.0)) / median) / sigma
+
+
 def _truncated(law: Disturbance) -> Inverse:
     low, high = _ends(law)
     return truncated(law.distribution, law.described, low, high, before=_of_scipy(law) if law.scipy else None)
+
+
+def _before(law: Disturbance) -> Any:
+    """Return the distribution of scipy of which a law without choices is a part, frozen."""
+    from scipy import stats  # noqa: PLC0415  (as above)
+
+    low, high = _ends(law)
+    if law.scipy is not None:
+        return _of_scipy(law)
+    return frozen(law.distribution, law.described, low, high) or stats.uniform(low, high - low)
 
 
 def _of_scipy(law: Disturbance) -> Any:

@@ -10,6 +10,7 @@ from ..ranges import SEED_BITS
 from ..system import AfterEnd, OptionValue, Variant
 from ..values import DistributionName, Stamps
 from .distributed import Distributed, described_key
+from .disturbance import MAX_DISTURBANCES, Disturbance
 from .signals import MAX_KNOTS, SignalKind, least_knots
 
 MAX_SCENARIOS = 1000
@@ -86,6 +87,14 @@ class SystemChoice(Model, extra="allow"):
         exclude_if=lambda value: value is None,
         description="of a program with disturbances: whether its rollouts depend on the seed besides; by default true",
     )
+    reported: dict[str, Disturbance] | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        min_length=1,
+        max_length=MAX_DISTURBANCES,
+        description="of a program that draws numbers by itself: the law of each, which is the first sample of the "
+        "column of its name",
+    )
     variants: tuple[Variant, ...] | None = Field(
         default=None, min_length=1, description="of a program: by default `nominal` alone"
     )
@@ -149,6 +158,8 @@ PROGRAM_KEYS = (
     "step",
     "noisy",
     "residual",
+    "reported",
+    "reported",
     "variants",
     "samples",
     "seed_bits",

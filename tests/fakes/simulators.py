@@ -32,8 +32,8 @@ from perfbound.schemas.system import Column, Parameter, SystemSpec
 from perfbound.schemas.trajectory.trajectory import Trajectory, encode
 from tests.fakes.puppets import Puppets
 
-Function = Callable[[RolloutRequest], float]
-"""The value of a rollout; with a `SimulationError` or NaN the attempt fails in the system."""
+Function = Callable[[RolloutRequest], float | tuple[float, ...]]
+"""The value of a rollout, or those of all columns; with a `SimulationError` or NaN the attempt fails in the system."""
 Stop = Callable[[RolloutRequest], bool]
 
 WORKERS = 2
@@ -95,7 +95,7 @@ class Simulators(Puppets):
         units = {column.name: column.unit for column in self._columns}
         try:
             value = self._function(request)
-            samples = [[time, value] for time in dict.fromkeys((0.0, request.horizon))]
+            samples = [[time, *np.atleast_1d(value)] for time in dict.fromkeys((0.0, request.horizon))]
             trajectory = Trajectory(tuple(units), np.array(samples))
         except (SimulationError, ValueError, Crashed) as error:
             failed = ResultHeader(

@@ -47,7 +47,7 @@ LAWS: dict[str, Law] = {
 
 
 def fitted(t: Floats, x: Floats) -> LawControl:
-    control = LawControl(Disturbed(BASES, lambda _: t, 512), (0.0, 1.0), 0.05)
+    control = LawControl(Disturbed(BASES, lambda _, __: t, 512), (0.0, 1.0), 0.05)
     control.add(t, x, lambda: MEAN)
     return control
 
@@ -103,7 +103,7 @@ def after_the_first_fit(rng: np.random.Generator, law: Law, scores: list[Floats]
         KrigingPremises(0.1, -0.6, (-1.0, 0.0), 0.05),
         spread=0.2,
         budget=KrigingBudget(64, VALUES, 3),
-        disturbed=Disturbed(BASES, scores.__getitem__),
+        disturbed=Disturbed(BASES, lambda test, _: scores[test]),
     )
     for test in range(PAST // VALUES):
         scores.append(rng.standard_normal((VALUES, 1)))

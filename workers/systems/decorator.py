@@ -34,6 +34,7 @@ def system(
     columns: Mapping[str, str],
     disturbances: Mapping[str, Disturbance] | None = None,
     residual: bool | None = None,
+    reported: Mapping[str, Disturbance] | None = None,
     step: float | None = None,
     noisy: Collection[Variant] | None = None,
     name: str | None = None,
@@ -60,7 +61,9 @@ def system(
 
     `disturbances` are named random numbers with their laws, such as `{"gust": Normal(0, 2, unit="m/s")}`: keyword-only
     arguments of the function, which the campaign draws. `residual` says whether anything else is random, by default
-    where the function also takes a seed.
+    where the function also takes a seed. `reported` are those that the function draws from its seed: each has the name
+    of a column, whose first sample is its value. They explain what rollouts do as the others do, if they have their
+    laws; the campaign tests that.
 
     The function returns one array (T,) for each column, one array (T, n), or a dict of arrays; a number for each column
     is one sample at time 0.
@@ -95,6 +98,7 @@ def system(
             )
         keywords = [each for each in signature if each.kind is each.KEYWORD_ONLY]
         laws = _laws_of(disturbances or {}, keywords, place)
+        told = _known_laws(reported or {}, "reported", place)
         taken, seed = (*passed(vectorised), *laws), "seeds" if vectorised else "seed"
         named = [each.name for each in keywords if each.name in taken]
         options = tuple(_option_of(each, place, taken) for each in keywords if each.name not in taken)
@@ -134,6 +138,7 @@ def system(
                 stamps=stamps,
                 disturbances=tuple(each.named(key, each.unit) for key, each in laws.items()),
                 residual=not laws or (seed in named if residual is None else residual),
+                reported=tuple(each.named(key, columns.get(key, each.unit)) for key, each in told.items()),
                 after_end=after_end,
                 vectorised=vectorised,
                 batch_is_the_unit=batch_is_the_unit,
@@ -150,17 +155,21 @@ def _laws_of(
 ) -> Mapping[str, Disturbance]:
     """Return the disturbances, if they are keyword-only arguments of the function without defaults."""
     named = {each.name: each for each in keywords}
-    for name, law in given.items():
-        if not isinstance(law, Disturbance):
-            raise DefinitionError(f"{place}: disturbances: {name}: {law!r} is no law; write pb.Normal(0, 1)")
-        if not NAME.fullmatch(name):
-            raise DefinitionError(
-                f"{place}: disturbances: {name!r}: a name consists of a-z, 0-9 and _, the first is a letter"
-            )
+    for name in _known_laws(given, "disturbances", place):
         if name not in named or named[name].default is not inspect.Parameter.empty:
             raise DefinitionError(
                 f"{place}: disturbances: the function takes no argument {name}; name it behind the *, without default"
             )
+    return given
+
+
+def _known_laws(given: Mapping[str, Disturbance], key: str, place: str) -> Mapping[str, Disturbance]:
+    """Return laws by their names, if they are such."""
+    for name, law in given.items():
+        if not isinstance(law, Disturbance):
+            raise DefinitionError(f"{place}: {key}: {name}: {law!r} is no law; write pb.Normal(0, 1)")
+        if not NAME.fullmatch(name):
+            raise DefinitionError(f"{place}: {key}: {name!r}: a name consists of a-z, 0-9 and _, the first is a letter")
     return given
 
 

@@ -1,11 +1,12 @@
 """The assumptions behind noisy rollouts: that they are independent, and have one law at each start."""
 
-from collections.abc import Iterator, Mapping, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 
+from ....schemas.file.disturbance import Disturbance
 from ....schemas.file.problem_models import KrigingProblem
 from ....schemas.result.certificate import Assumption, Status
 from ....schemas.system import Variant
-from ...campaign.assumption_tests import OneLaw
+from ...campaign.assumption_tests import DeclaredLaws, OneLaw
 from ...campaign.copies import copies, tested_copies
 from ...campaign.ledger import Ledger
 from ...campaign.plan import ProblemPlan, value_range
@@ -34,6 +35,9 @@ def sampled_assumptions(ledger: Ledger, account: Account) -> Iterator[Assumption
     }
     yield _independent(ledger, account, noisy, values)
     yield one_law(plan, OneLaw(plan).finding(account.nodes, account.each))
+    if plan.reports is not None:
+        laws = ledger.header.spec.reported
+        yield declared_laws(plan, laws, DeclaredLaws(plan, laws).finding(account.each))
 
 
 def _independent(
@@ -55,6 +59,17 @@ def one_law(plan: ProblemPlan, finding: audit.Finding) -> Assumption:
     """Return the assumption that the rollouts of a start have one law during the campaign."""
     form = "one_law" if plan.candidates is None else None
     return assumption(f"one_law_per_start/{plan.key}", *finding, form=form)
+
+
+def declared_laws(plan: ProblemPlan, laws: Sequence[Disturbance], finding: audit.Finding) -> Assumption:
+    """Return the assumption that what rollouts report has the declared laws."""
+    values = dict(finding.values)
+    if "kind" in values:
+        law = laws[int(values["kind"])]
+        values |= {"kind": law.name, "law": law.words}
+    values["reported"] = ", ".join(f"{law.name} ({law.words})" for law in laws)
+    form = "impossible_values" if values.get("impossible") else None
+    return assumption(f"declared_laws/{plan.key}", finding.status, values, form=form)
 
 
 # The assumptions behind the bound of method `kriging`

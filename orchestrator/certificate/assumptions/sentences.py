@@ -217,6 +217,18 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "{threshold}, {values} values); a slow drift can pass.",
         "assumed": "fewer than two starts were drawn, so nothing shows whether the simulator drifts.",
     },
+    "declared_laws": {
+        "refuted": "the values of {kind} that rollouts report do not have its declared law, {law} (evidence {e_value} "
+        "against {threshold}, a false alarm of probability {level}): what the control takes out need not have the "
+        "mean 0.",
+        "not refuted": "the values that {values} rollouts report do not contradict their declared laws, {reported} "
+        "(evidence {e_value} against {threshold}); a small difference can pass.",
+        "assumed": "no rollout has reported a value of {reported}.",
+    },
+    "impossible_values": {
+        "refuted": "rollouts report values of {kind} that its declared law, {law}, does not have ({impossible} of "
+        "{values}): what the control takes out need not have the mean 0.",
+    },
     "declared_distribution": {
         "assumed": "the claims are about starts that are distributed as [space] declares; that operation meets such "
         "starts, with such frequencies, is assumed.",
@@ -499,6 +511,7 @@ STATEMENTS = {
     "centred_noise": "an observation is right on average",
     "clip": "the claim is about the clipped robustness",
     "declared_distribution": "in operation, starts are distributed as the file declares",
+    "declared_laws": "what rollouts report of their disturbances has the declared laws",
     "defined_in_session": "the function uses nothing of its session that changes",
     "design": "all tests were planned before the first outcome",
     "deterministic": "the simulator is deterministic",

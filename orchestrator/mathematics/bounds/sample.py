@@ -427,13 +427,13 @@ class SampleMethod(Method):
         return Band((), (), (), ())
 
     def _add(self, values: Sequence[float]) -> None:
+        if self._disturbed is not None:
+            self._add_each(np.array([values]))
+            return
         low, high = self._range
         # Before the first bet: half a sample would change the state.
         if not values or not all(low <= value <= high for value in values):
             raise self._error(values)
-        if self._disturbed is not None:
-            self._add_each(np.array([values]))
-            return
         width = len(values) // self._parts
         for terms, estimate in zip(self._claims, self._estimates, strict=True):
             estimate.add(values[terms.place * width : (terms.place + 1) * width])
@@ -443,12 +443,16 @@ class SampleMethod(Method):
         low, high = self._range
         if not len(each):
             return
+        reported = np.empty((len(each), 0, 0))
+        if self._disturbed is not None:
+            each, reported = self._disturbed.split(each, self._parts)
         if not each.shape[1] or not are_within(each, low, high):
             raise self._error(each[~((each >= low) & (each <= high)).all(axis=1)][:1].ravel().tolist())
         width = each.shape[1] // self._parts
         scores = None
         if self._disturbed is not None:
-            scores = np.stack([self._disturbed.scores(self._count + k) for k in range(len(each))])
+            numbered = enumerate(reported, self._count)
+            scores = np.stack([self._disturbed.scores(number, told) for number, told in numbered])
         for terms, estimate in zip(self._claims, self._estimates, strict=True):
             values = each[:, terms.place * width : (terms.place + 1) * width]
             if scores is None:

@@ -296,6 +296,9 @@ class ScenarioMethod(Method):
         if not len(nodes):
             return
         low, high = self._reading.clip
+        reported = np.empty((len(nodes), values.shape[1], 0))
+        if self._disturbed is not None:
+            values, reported = self._disturbed.split(values)
         for index in () if are_within(nodes, 0, self.size - 1) else nodes.tolist():
             check_index(index, self.size)
         # Checked before the first bet: half a test would change the state.
@@ -304,8 +307,8 @@ class ScenarioMethod(Method):
             raise ValueError(f"a test needs values within the clip [{low}, {high}], not {wrong}")
         if self._disturbed is not None:
             # Each test may change the control of the next one.
-            for number, (node, row) in enumerate(zip(nodes, values, strict=True), self.n):
-                scores, scenario = self._disturbed.scores(number), self._scenarios[node]
+            for number, (node, row, told) in enumerate(zip(nodes, values, reported, strict=True), self.n):
+                scores, scenario = self._disturbed.scores(number, told), self._scenarios[node]
                 self._bet(node[None], row[None], scores)
                 if scenario.learn(row, scores):
                     # What is least of 1 - x + g at any scenario: each may have the next test.

@@ -96,10 +96,21 @@ class Disturbed:
     """The declared disturbances of the rollouts of one problem."""
 
     bases: tuple[Basis, ...]
-    scores: Callable[[int], Floats]
-    """The scores of the rollouts of a test (b, k), by its number among those that the method has observed."""
+    scores: Callable[[int, Floats], Floats]
+    """(number of a test among those that the method observes, what its rollouts report (b, m)) -> scores (b, k)."""
     planned: int = 1
     """Number of values that are planned, where each is bounded as one of one law."""
+    reported: int = 0
+    """Disturbances m that a rollout reports."""
+
+    def split(self, each: Floats, parts: int = 1) -> tuple[Floats, Floats]:
+        """Return the values (n, parts b) in the contributions (n, w) to tests, and what is reported at their end.
+
+        The latter has the shape (n, b, m): that of b rollouts, each with a value for every part.
+        """
+        rollouts = each.shape[1] // (parts + self.reported)
+        values = each[:, : parts * rollouts]
+        return values, each[:, parts * rollouts :].reshape(len(each), rollouts, self.reported)
 
 
 class ControlSequence:

@@ -1,9 +1,16 @@
-"""The finding about declared disturbances, apart from `repeats`, whose rollouts differ in their seeds alone."""
+"""The findings about declared disturbances, apart from `repeats`, whose rollouts differ in their seeds alone."""
 
+import numpy as np
+
+from ....schemas.draws.laws import ReportedLaw
 from ....schemas.system_check import Measured
+from ...mathematics.bounds.checks.law import LawTest
 from .findings import SystemFinding, failed, passed, warning
 from .measurements import Measurements
 from .trials import DISTURBED, RESIDUAL, START
+
+REPORTED_LEVEL = 1e-4
+"""Of a false alarm: many systems that are right are checked, and a campaign has more numbers."""
 
 
 def judge_disturbances(measurements: Measurements) -> SystemFinding | None:
@@ -44,3 +51,35 @@ def judge_disturbances(measurements: Measurements) -> SystemFinding | None:
         )
     rest = "the seed decides something besides" if spec.residual else "nothing else is random"
     return passed("disturbances", f"each of {len(ignored)} has an effect, and {rest}")
+
+
+def judge_reported(measurements: Measurements) -> SystemFinding | None:
+    """Judge whether the numbers that rollouts report have the laws that the system declares."""
+    spec = measurements.spec
+    # Of each seed once: equal seeds draw equal numbers, perhaps at other starts, too.
+    by_seed = {
+        trial.request.seed: found.reported
+        for trial, found in measurements.good
+        if trial.request.variant in spec.noisy and trial.reseed is None
+    }
+    if not by_seed:
+        return None
+    values, between = np.array(list(by_seed.values())), np.random.default_rng(0)
+    refuted = []
+    for law, column in zip(spec.reported, values.T, strict=True):
+        test = LawTest(1, level=REPORTED_LEVEL / len(spec.reported))
+        test.observe(ReportedLaw(law).shares(column, between.random(len(column)))[:, np.newaxis])
+        finding = test.finding()
+        if finding.values.get("impossible"):
+            refuted.append(f"{law.name} has values that its law, {law.words}, does not have")
+        elif finding.status == "refuted":
+            refuted.append(
+                f"{law.name}, of mean {column.mean():.3g} and sd {column.std():.3g}, does not keep {law.words}"
+            )
+    if refuted:
+        return failed(
+            "reported",
+            f"of the numbers that {len(values)} rollouts report {'; '.join(refuted)}",
+            "declare the law that the system draws from, and put the number drawn into the first sample of its column",
+        )
+    return passed("reported", f"the numbers that {len(values)} rollouts report do not contradict their laws")

@@ -65,6 +65,7 @@ _CHECKS: dict[str, Callable[[Measurements], SystemFinding | None]] = {
     "batches": batches.judge_batches,
     "seed": repeats.judge_seed,
     "disturbances": disturbances.judge_disturbances,
+    "reported": disturbances.judge_reported,
     "random state": repeats.judge_random_state,
     "horizon": trajectories.judge_horizon,
     "memory": costs.judge_memory,
@@ -73,7 +74,9 @@ _CHECKS: dict[str, Callable[[Measurements], SystemFinding | None]] = {
     "files": files.judge_files,
     "speed": costs.judge_speed,
 }
-_COMPARING = {"together", "seed", "disturbances", "horizon"}
+_OF_SOME = {"disturbances", "reported"}
+"""Checks of what a system declares under a key of this name."""
+_COMPARING = {"together", "seed", "disturbances", "reported", "horizon"}
 """Checks that compare rollouts, and so need repeatable ones."""
 
 
@@ -81,7 +84,7 @@ def judge(measurements: Measurements) -> tuple[SystemFinding, ...]:
     """Return one finding for each check; a check that nothing was measured for is skipped."""
     found: dict[str, SystemFinding] = {}
     for name, check in _CHECKS.items():
-        if name == "disturbances" and not measurements.spec.disturbances:
+        if name in _OF_SOME and not getattr(measurements.spec, name):
             continue
         finding = check(measurements) or SystemFinding(name, "skipped", "no rollout was measured for it")
         if name in _COMPARING and found["repeatable"].status == "failed":

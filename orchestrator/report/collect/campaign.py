@@ -188,7 +188,8 @@ class Collector:
             clip=config.clip,
             axes=_axes(header),
             disturbances=tuple(
-                DeclaredDisturbance(each.name, each.unit, each.words) for each in header.spec.disturbances
+                DeclaredDisturbance(each.name, each.unit, each.words)
+                for each in (*header.spec.disturbances, *header.spec.reported)
             ),
             now=wording.current_bound(problems, claims),
             claims=claims,

@@ -73,7 +73,7 @@ def disturbance_charts(
         sampled=sampled,
         chance=chance,
         shares=tuple(shares),
-        scatter=None if sampler is None else sampler.scatter([each.place for each in shares[:2]]),
+        scatter=None if sampler is None else sampler.scatter(_drawn(header, shares)[:2]),
         worst=None if sampler is None else sampler.worst(),
     )
 
@@ -148,14 +148,21 @@ def _of_control(header: Header, control: Control, sign: float) -> list[Disturban
     What it explains of recorded rollouts is divided by the variances of its parts under their laws.
     """
     found, total = [], sum(each**2 for each in control.deviations)
-    parts = zip(header.spec.drawn_places, control.bases, control.levels, control.deviations, strict=True)
-    for place, basis, levels, deviation in parts:
-        law = header.spec.disturbances[place]
+    spec = header.spec
+    laws = (*spec.disturbances, *spec.reported)
+    places = (*spec.drawn_places, *range(len(spec.disturbances), len(laws)))
+    for place, basis, levels, deviation in zip(places, control.bases, control.levels, control.deviations, strict=True):
+        law = laws[place]
         scores = np.linspace(-REACH, REACH, MOST_POINTS) if law.choices is None else _numbers(law)
         effect = sign * (basis.hats(scores) @ levels[0] - float(basis.means @ levels[0]))
         share = control.explained * deviation**2 / total if total else 0.0
         found.append(DisturbanceShare(place, share, deviation, *_curve(law, scores, effect)))
     return _largest(found)
+
+
+def _drawn(header: Header, shares: Sequence[DisturbanceShare]) -> list[int]:
+    """Return the places of those that are drawn: what rollouts report is in their files alone."""
+    return [each.place for each in shares if each.place < len(header.spec.disturbances)]
 
 
 def _of_rollouts(header: Header, sampler: _Sampler) -> tuple[list[DisturbanceShare], float]:

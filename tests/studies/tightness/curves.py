@@ -101,7 +101,7 @@ def drawn_tests(design: Design, recorded: Recorded, budget: Budget, number: tupl
 
 def known(subject: Subject, tests: Sequence[Drawn]) -> Disturbed:
     """Return the disturbances of the tests of a campaign."""
-    return Disturbed(bases(subject.system.spec), lambda test: tests[test].scores)
+    return Disturbed(bases(subject.system.spec), lambda test, _: tests[test].scores)
 
 
 def observed(subject: Subject, robustness: Floats) -> Floats:

@@ -100,7 +100,7 @@ def failing_once(function: Function, how: Callable[[], float]) -> Function:
     """Let every fifth rollout fail in its first attempt; its second one is as if nothing had happened."""
     tried: set[str] = set()
 
-    def found(request: RolloutRequest) -> float:
+    def found(request: RolloutRequest) -> float | tuple[float, ...]:
         first = request.rollout not in tried
         tried.add(request.rollout)
         return how() if first and request.seed % 5 == 0 else function(request)

@@ -129,12 +129,12 @@ class ControlledBets:
         """The control of the next rollouts; None before the first fit, and where none explains enough."""
         return self._controls.control if self._is_used else None
 
-    def observe(self, point: int, values: Sequence[float]) -> None:
-        """Bet on the rollouts of one test, before the control sees them."""
+    def observe(self, point: int, values: Sequence[float], reported: Floats) -> None:
+        """Bet on the rollouts of one test, before the control sees them; `reported` (b, m) as of `Disturbed`."""
         if not self._is_used:
             self.bets.observe(point, values)
             return
-        x, scores = np.array(values), self._scores(self._tests)
+        x, scores = np.array(values), self._scores(self._tests, reported)
         starts = np.repeat(self._shares[[point]], len(x), axis=0)
         self._bet(point, starts, scores, x)
         if not self._controls.has_begun:

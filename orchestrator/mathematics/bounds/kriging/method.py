@@ -85,7 +85,7 @@ class KrigingMethod(Method):
         self._places = {node: i for i, node in enumerate(self.design.nodes)}
         self._kernels = Kernels.of(lattice, Radial(kernel), lattice.nodes[list(self.design.nodes)])
         counts = np.array(self.design.counts, dtype=np.float64) * budget.replicates
-        bets = Bets(self._kernels, self._premises, counts, spread)
+        bets, self._disturbed = Bets(self._kernels, self._premises, counts, spread), disturbed
         self._betting = bets if disturbed is None else ControlledBets(bets, disturbed)
         self._tests = 0
 
@@ -176,11 +176,11 @@ class KrigingMethod(Method):
 
     def recall(self, tests: Sequence[tuple[Proposal, Observation]]) -> None:
         """Add observations; raises as `observe`, and then nothing changes."""
-        self._add([(proposal.node, [-value for value in observation.each]) for proposal, observation in tests])
+        self._add([(proposal.node, observation.each) for proposal, observation in tests])
 
     def recall_each(self, nodes: Integers, y: Floats, each: Floats) -> None:  # noqa: ARG002
         """Add observations; raises as `observe`, and then nothing changes."""
-        self._add(list(zip(nodes.tolist(), (-each).tolist(), strict=True)))
+        self._add(list(zip(nodes.tolist(), each.tolist(), strict=True)))
 
     def band(self, bound: Bound) -> Band:
         """Return the band: for all nodes at once at 1 - delta, each cell at delta/#nodes, from the rollouts so far.
@@ -195,13 +195,25 @@ class KrigingMethod(Method):
         return Band(tuple(mean.tolist()), tuple(nothing.tolist()), tuple(upper.tolist()), possible=(True,) * self.size)
 
     def _add(self, tests: Sequence[tuple[int, Sequence[float]]]) -> None:
-        """Add tests, each with its node and the values of X."""
-        for node, values in tests:
+        """Add tests, each with its node and its contributions."""
+        pieces = [self._split(each) for _, each in tests]
+        for (node, _), (values, _) in zip(tests, pieces, strict=True):
             if node not in self._places:
                 raise ValueError(f"node {node} is no point of the design")
             if not values:
                 raise ValueError("a test needs at least one rollout")
             check_values(values, self._premises.ends)
-        for node, values in tests:
-            self._betting.observe(self._places[node], values)
+        for (node, _), (values, reported) in zip(tests, pieces, strict=True):
+            if isinstance(self._betting, ControlledBets):
+                self._betting.observe(self._places[node], values, reported)
+            else:
+                self._betting.observe(self._places[node], values)
             self._tests += 1
+
+    def _split(self, each: Sequence[float]) -> tuple[list[float], Floats]:
+        """Return X of the rollouts of a test (b,), and what they report (b, m)."""
+        values, reported = each, np.empty((len(each), 0))
+        if self._disturbed is not None and self._disturbed.reported:
+            found, told = self._disturbed.split(np.array([each]))
+            values, reported = found[0].tolist(), told[0]
+        return [-value for value in values], reported

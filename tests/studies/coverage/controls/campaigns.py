@@ -63,7 +63,7 @@ def campaign(row: Controls, rng: np.random.Generator, *, told: float | None = No
     """
     delta, scores = told or row.delta, list[Floats]()
     width = 1 if row.bounds in QUANTITIES else REPLICATES
-    known = Known(BASES, scores.__getitem__, TESTS * REPLICATES)
+    known = Known(BASES, lambda test, _: scores[test], TESTS * REPLICATES)
     method, law, aim = _method(row, delta, known), DISTURBED[row.disturbances], _aim(row)
     lower = refuted = False
     for test in range(TESTS):

@@ -36,7 +36,7 @@ def drawn(rng: np.random.Generator, count: int) -> tuple[Floats, Floats]:
 
 def disturbed(planned: int) -> Disturbed:
     """Return disturbances whose scores are given with the values."""
-    return Disturbed(BASES, lambda _: np.empty(0), planned)
+    return Disturbed(BASES, lambda _, __: np.empty(0), planned)
 
 
 def fitted(count: int = 64, planned: int = 4000) -> LawControl:
@@ -98,7 +98,7 @@ def test_no_division_into_pieces_changes_a_bound_and_it_is_a_better_one(name: st
 
 def test_blocks_of_samples_are_as_one_test_after_the_other() -> None:
     scores, values = drawn(np.random.default_rng(4), 900)
-    known = Disturbed(BASES, scores.reshape(300, 3, 2).__getitem__, 300)
+    known = Disturbed(BASES, lambda test, _: scores.reshape(300, 3, 2)[test], 300)
     quantities: tuple[SampledQuantity, ...] = ("mean", "risk", "failure_probability")
     terms = [Terms(each, 0.05, clip=CLIP, risk_weight=0.2, disturbed=known) for each in quantities]
     one, block = (SampleMethod(terms, lambda _: (0.0,), fixed=None, largest=False) for _ in range(2))
@@ -131,7 +131,7 @@ def test_scenarios_are_bounded_more_closely_from_both_sides(risk: Risk) -> None:
             alpha=1e-6,
             risk=risk,
             constants=(0.6, 0.13) if risk == "linearised" else None,
-            disturbed=Disturbed(BASES, scores.__getitem__, 3000) if controlled else None,
+            disturbed=Disturbed(BASES, lambda test, _: scores[test], 3000) if controlled else None,
         )
         for controlled in (False, True, True)
     )

@@ -31,7 +31,7 @@ LAWS: dict[str, Law] = {
 
 
 def method(scores: dict[int, Floats] | None, *, norm: float = NORM) -> KrigingMethod:
-    disturbed = None if scores is None else Disturbed((normal_basis(7),) * 2, scores.__getitem__)
+    disturbed = None if scores is None else Disturbed((normal_basis(7),) * 2, lambda test, _: scores[test])
     return KrigingMethod(
         Lattice((0.0,), (1.0,), 5),
         # Of one value: every rollout counts for every start.
