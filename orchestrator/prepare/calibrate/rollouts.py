@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ....schemas.draws.laws import ReportedLaw
 from ....schemas.errors import TrajectoryError
 from ....schemas.file.config import CampaignConfig
 from ....schemas.file.draft import CLIP
@@ -64,6 +65,7 @@ class CalibrationRollouts:
         options, horizon = config.system.options, config.horizon
         self._template = RequestTemplate.of(system.spec, options, horizon=horizon, visual=False, campaign=NAME)
         self._batches = 0
+        self._reported: dict[tuple[int, int], tuple[float, ...]] = {}
         self.margins = SeenMargins(config, system.spec)
         self.report: Report = lambda _: None
         self.count = 0
@@ -107,8 +109,17 @@ class CalibrationRollouts:
         return calibration_seed(digest, self._seed, place, variant, self._system.spec)
 
     def scores(self, wanted: Sequence[StartRollout]) -> Floats:
-        """Return the scores of the disturbances of rollouts that are drawn (n, w), of a system that has some."""
-        return self._template.scores([self._seed_of(each, self._variants[0]) for each in wanted])
+        """Return the scores of the known disturbances of rollouts (n, w), whose values were asked for if they report.
+
+        The system has some.
+        """
+        spec = self._system.spec
+        told = np.array([self._reported.get((each.test, each.replicate), ()) for each in wanted])
+        drawn = np.empty((len(wanted), 0))
+        if spec.drawn:
+            drawn = self._template.scores([self._seed_of(each, self._variants[0]) for each in wanted])
+        laws = map(ReportedLaw, spec.reported)
+        return np.column_stack([drawn, *(law.scores(values) for law, values in zip(laws, told.T, strict=True))])
 
     def _run(self, batch: RolloutBatch) -> None:
         ended, done = threading.Event(), [0] * len(batch.parts)
@@ -146,10 +157,16 @@ class CalibrationRollouts:
         spec, problem = self._system.spec, config.problems[self._number]
         observer, plan = Observer(config, spec), replace(plans.plan(config, spec, problem), replicates=1)
 
-        def value(found: Mapping[str, Trajectory]) -> float:
-            return observer.observe(plan, {(variant, 0): each for variant, each in found.items()}).y
+        reported = list[tuple[float, ...]]()
 
-        return dict(self._each(batch, value))
+        def value(found: Mapping[str, Trajectory]) -> float:
+            observed = observer.observe(plan, {(variant, 0): each for variant, each in found.items()})
+            reported.append(observed.each[len(plan.values_of(observed.each)) :])
+            return observed.y
+
+        values = dict(self._each(batch, value))
+        self._reported |= zip(values, reported, strict=True)
+        return values
 
     def robustness(self, batch: RolloutBatch, config: CampaignConfig) -> dict[tuple[int, int], float]:
         """Return the least robustness of the variants of each (test, replicate), not clipped; raises as `values`."""

@@ -123,10 +123,11 @@ def rehearsed(
         ValueError: a trajectory allows no observation, or a parameter is outside the range of the method.
 
     """
-    observe, course = _surface(plan, header, pilot), list[tuple[int, float, float | None]]()
     # Invented values follow from no disturbances, which would explain nothing of them.
-    parts = tuple(replace(each, controlled=False) for each in plan.parts)
-    rehearsing = method(replace(plan, controlled=False, parts=parts), header)
+    parts = tuple(replace(each, controlled=False, reports=None) for each in plan.parts)
+    plan = replace(plan, controlled=False, reports=None, parts=parts)
+    observe, course = _surface(plan, header, pilot), list[tuple[int, float, float | None]]()
+    rehearsing = method(plan, header)
     begin, tests, verdict, observing = time(), 0, None, 0.0
     while tests < plan.budget and verdict is None and (not tests or time() - begin < most):
         first = first_node(header, plan.name, rehearsing.size) if tests == 0 and plan.candidates is not None else None

@@ -8,7 +8,7 @@ from scipy import stats
 
 import perfbound as pb
 from perfbound.schemas.draws.counter import open_shares, uniform
-from perfbound.schemas.draws.laws import Laws, check_law
+from perfbound.schemas.draws.laws import Laws, ReportedLaw, check_law
 from perfbound.schemas.errors import DefinitionError
 from perfbound.schemas.file.disturbance import Disturbance
 
@@ -91,3 +91,27 @@ def test_a_law_without_values_is_refused(law: Disturbance, fault: str) -> None:
         check_law(law.named("gust", ""))
     assert str(caught.value).startswith("gust: ")
     assert fault in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        pb.Normal(3, 2),
+        pb.Normal(0, 1, low=-1, high=2),
+        pb.LogNormal(2, 0.4),
+        pb.Uniform(-1, 3),
+        pb.Triangular(0, 1, 4),
+        pb.Weibull(2, 3),
+        pb.Law("gumbel_r", loc=0, scale=1),
+        pb.Choice([5, -1, 2], [0.2, 0.5, 0.3]),
+    ],
+)
+def test_reported_values_have_the_scores_that_they_were_drawn_from(law: Disturbance) -> None:
+    laws, seeds, known = Laws([law.named("w", "")]), range(500), ReportedLaw(law)
+    values = laws.values(seeds)[:, 0]
+    assert known.scores(values) == pytest.approx(laws.scores(seeds)[:, 0], abs=1e-6)
+    shares = known.shares(values, np.random.default_rng(1).random(500))
+    assert stats.kstest(shares, "uniform").pvalue > 0.01
+    if law.choices is not None or law.low is not None:
+        assert np.isnan(known.shares([9.0, 5.0001], [0.5, 0.5])).all()
+        assert np.isfinite(known.scores([9.0])).all()
