@@ -186,38 +186,8 @@ class SystemSpec(Model, metaclass=Written):
 
     @model_validator(mode="after")
     def _disturbed(self) -> "SystemSpec":
-        if self.disturbances and not (self.noisy or self.disturbed):
-            raise ValueError("disturbances: no variant is noisy, so that none of them has an effect")
-        if not (self.residual or self.disturbances):
-            raise ValueError("residual: false is for a system with disturbances; without any, let no variant be noisy")
-        taken = {*(each.name for each in self.own_parameters), *(each.name for each in self.options)}
-        for name in [each.name for each in self.disturbances]:
-            if not name:
-                raise ValueError('disturbances: one has no name; write Normal(0, 1).named("gust", "m/s")')
-            if name in taken:
-                what = f"{name} is that of a parameter, an option or another disturbance"
-                raise ValueError(f"disturbances: every one needs a name of its own; {what}")
-            taken.add(name)
-        if SCORED in {each.unit for each in self.disturbances}:
-            raise ValueError(f"disturbances: {SCORED!r} is the unit of scores; give one of them another unit")
-        return self
-
-    @model_validator(mode="after")
-    def _reported(self) -> "SystemSpec":
-        if self.reported and not (self.noisy or self.disturbed):
-            raise ValueError("reported: no variant is noisy, so that none draws a number")
-        if self.reported and not self.residual:
-            raise ValueError("residual: false is not for a system that draws numbers by itself; leave it out")
-        units = {column.name: column.unit for column in self.columns if column.name in self.own_columns[1:]}
-        for name, unit in ((each.name, each.unit) for each in self.reported):
-            if name not in units:
-                raise ValueError(f"reported: {name!r} is no column; add it, with the number in its first sample")
-            if name in {each.name for each in self.disturbances}:
-                raise ValueError(f"reported: {name} is drawn by the campaign; remove it from here or from disturbances")
-            if unit != units[name]:
-                raise ValueError(f"reported: {name} is in {unit or 'no unit'!r}, and its column in {units[name]!r}")
-        if len({each.name for each in self.reported}) < len(self.reported):
-            raise ValueError("reported: every number needs a column of its own")
+        _check_disturbances(self)
+        _check_reported(self)
         return self
 
     @model_validator(mode="after")
@@ -414,6 +384,43 @@ class SystemSpec(Model, metaclass=Written):
             if key not in seen and getattr(self.declared, key) != getattr(here.declared, key)
         ]
         return code + versions + others
+
+
+def _check_disturbances(spec: SystemSpec) -> None:
+    """Refuse disturbances that a system cannot have; raises ValueError."""
+    if spec.disturbances and not (spec.noisy or spec.disturbed):
+        raise ValueError("disturbances: no variant is noisy, so that none of them has an effect")
+    if not (spec.residual or spec.disturbances):
+        raise ValueError("residual: false is for a system with disturbances; without any, let no variant be noisy")
+    taken = {*(each.name for each in spec.own_parameters), *(each.name for each in spec.options)}
+    for name in [each.name for each in spec.disturbances]:
+        if not name:
+            raise ValueError('disturbances: one has no name; write Normal(0, 1).named("gust", "m/s")')
+        if name in taken:
+            what = f"{name} is that of a parameter, an option or another disturbance"
+            raise ValueError(f"disturbances: every one needs a name of its own; {what}")
+        taken.add(name)
+    if SCORED in {each.unit for each in spec.disturbances}:
+        raise ValueError(f"disturbances: {SCORED!r} is the unit of scores; give one of them another unit")
+
+
+def _check_reported(spec: SystemSpec) -> None:
+    """Refuse numbers that a system cannot report; raises ValueError."""
+    if spec.reported and not (spec.noisy or spec.disturbed):
+        raise ValueError("reported: no variant is noisy, so that none draws a number")
+    if spec.reported and not spec.residual:
+        raise ValueError("residual: false is not for a system that draws numbers by itself; leave it out")
+    units = {column.name: column.unit for column in spec.columns if column.name in spec.own_columns[1:]}
+    drawn = {each.name for each in spec.disturbances}
+    for name, unit in ((each.name, each.unit) for each in spec.reported):
+        if name not in units:
+            raise ValueError(f"reported: {name!r} is no column; add it, with the number in its first sample")
+        if name in drawn:
+            raise ValueError(f"reported: {name} is drawn by the campaign; remove it from here or from disturbances")
+        if unit != units[name]:
+            raise ValueError(f"reported: {name} is in {unit or 'no unit'!r}, and its column in {units[name]!r}")
+    if len({each.name for each in spec.reported}) < len(spec.reported):
+        raise ValueError("reported: every number needs a column of its own")
 
 
 ENDED = Column(name="ended", unit="1")
