@@ -2,6 +2,7 @@
 
 import ipaddress
 from collections.abc import Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
@@ -162,9 +163,14 @@ def read_certificates(path: str) -> list["x509.Certificate"]:
 
     """
     from cryptography import x509  # noqa: PLC0415
+    from cryptography.exceptions import UnsupportedAlgorithm  # noqa: PLC0415
 
     try:
-        return x509.load_pem_x509_certificates(read_with_status(Path(path), MOST)[0])
+        found = x509.load_pem_x509_certificates(read_with_status(Path(path), MOST)[0])
+        for each in found:  # loading reads no key: a damaged one shows when it is used
+            with suppress(UnsupportedAlgorithm):
+                each.public_key()
+        return found
     except FileNotFoundError:
         raise LinkError(f"{path}: no such file; the TLS options name PEM files") from None
     except (OSError, ValueError):

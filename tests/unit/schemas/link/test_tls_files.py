@@ -2,6 +2,7 @@
 
 import os
 import re
+import ssl
 from collections.abc import Callable
 from datetime import timedelta
 from functools import partial
@@ -12,7 +13,7 @@ import trustme
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.hazmat.primitives.serialization import BestAvailableEncryption, Encoding, PrivateFormat
+from cryptography.hazmat.primitives.serialization import BestAvailableEncryption, Encoding, PrivateFormat, PublicFormat
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -164,6 +165,19 @@ def test_damaged_files_end_in_no_other_error(
     path.write_bytes(content)
     reason = refusal(lambda: check(tls))
     assert reason is None or str(path) in reason
+
+
+def test_a_certificate_with_a_damaged_key_is_refused(tmp_path: Path) -> None:
+    tls = Site(tmp_path).tls("node-1", "worker")
+    path = Path(tls.certificate)
+    whole = x509.load_pem_x509_certificate(path.read_bytes())
+    key = whole.public_key().public_bytes(Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
+    # Another last byte is a point that is not on the curve.
+    damaged = whole.public_bytes(Encoding.DER).replace(key, key[:-1] + bytes([key[-1] ^ 1]))
+    path.write_text(ssl.DER_cert_to_PEM_cert(damaged))
+    reason = refusal(lambda: check(tls))
+    assert reason is not None
+    assert f"{path}: not the PEM file of a certificate" in reason
 
 
 def refusal(call: Callable[[], None]) -> str | None:
