@@ -222,7 +222,8 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "against {threshold}, a false alarm of probability {level}): what the control takes out need not have the "
         "mean 0.",
         "not refuted": "the values that {values} rollouts report do not contradict their declared laws, {reported} "
-        "(evidence {e_value} against {threshold}); a small difference can pass.",
+        "(evidence {e_value} against {threshold}). A scale that is wrong by {unseen} % passes in about half of such "
+        "campaigns, and can make the bound false.",
         "assumed": "no rollout has reported a value of {reported}.",
     },
     "impossible_values": {

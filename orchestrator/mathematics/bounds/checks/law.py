@@ -28,6 +28,8 @@ from .wealth import wealth_after
 DEGREES = 4
 SLOPES = (0.1, 0.3, 0.9)
 """Bets on each polynomial: plus and minus these."""
+UNSEEN = 330.0
+"""Percent, of 1 number: 10 % of 1,100."""
 AT_ONCE = 2**12
 """Numbers that are settled together: every division into such pieces gives the same wealth."""
 _BETS = np.tile([*SLOPES, *(-slope for slope in SLOPES)], DEGREES)  # (S,)
@@ -66,7 +68,8 @@ class LawTest:
         """Return whether a law is refuted; `assumed` while there is no number.
 
         `e_value` is the largest W*/k, `kind` the place of the one that has it, `threshold` 1/level. Of this one as many
-        numbers are `impossible`.
+        numbers are `impossible`. `unseen` is an error of a scale, in percent, of which so many numbers are about as
+        likely to show nothing as to refute it.
         """
         values: dict[str, int | float | str] = {"values": self.count, "threshold": 1.0 / self._level}
         values |= {"level": self._level}
@@ -77,7 +80,7 @@ class LawTest:
         status: Status = "refuted" if evidence >= (1.0 + ROUND_OFF) / self._level else "not refuted"
         # Three digits: the evidence is a size, and no claim is made of its last digits.
         found = {"e_value": float(f"{evidence:.3g}"), "kind": kind, "impossible": int(self._impossible[kind])}
-        return Finding(status, {**found, **values})
+        return Finding(status, {**found, "unseen": float(f"{UNSEEN / self.count**0.5:.2g}"), **values})
 
 
 def _legendre(shares: Floats) -> Floats:
