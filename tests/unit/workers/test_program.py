@@ -105,6 +105,15 @@ def test_the_disturbances_of_the_file_are_in_the_line(program: Callable[..., Pro
         rolled(system)
 
 
+def test_what_a_program_reports_has_the_unit_of_its_column(program: Callable[..., ProgramSystem]) -> None:
+    law = 'reported = { v = { distribution = "normal", mean = 0.0, sd = 2.0 } }'
+    spec = program(WRITES, law).spec
+    assert [each.words for each in spec.reported] == ["normal, mean 0 m/s, sd 2 m/s"]
+    assert (spec.disturbances, spec.noisy, spec.residual) == ((), ("nominal",), True)
+    with pytest.raises(DefinitionError, match="'gust' is no column"):
+        program(WRITES, law.replace(" v ", " gust "))
+
+
 def test_one_line_has_everything_in_a_fixed_order(program: Callable[..., ProgramSystem], tmp_path: Path) -> None:
     system = program(f'open("got", "w").write(line); {WRITES}', "damping = 0.25")
     rolled(system)
