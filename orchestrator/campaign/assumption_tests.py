@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ...schemas.draws.laws import ReportedLaw
+from ...schemas.draws.laws import ReportedLaws
 from ...schemas.file.disturbance import Disturbance
 from ...schemas.file.problem_models import RigorousProblem
 from ...schemas.result.facts import Header
@@ -90,24 +90,22 @@ class DeclaredLaws:
     laws: tuple[Disturbance, ...]
     taken: int = 0
     _test: LawTest = field(init=False)
-    _known: list[ReportedLaw] = field(init=False)
+    _known: ReportedLaws = field(init=False)
     # Independent of the values: any fixed sequence is.
     _between: np.random.Generator = field(init=False)
 
     def __post_init__(self) -> None:
         """Begin without a number."""
-        self._test, self._known = LawTest(len(self.laws)), list(map(ReportedLaw, self.laws))
+        self._test, self._known = LawTest(len(self.laws)), ReportedLaws(self.laws)
         self._between = np.random.default_rng(0)
 
     def finding(self, each: Rows) -> Finding:
         """Take the closed tests that are new, and return the finding about all of them."""
-        tests = [row[len(self.plan.values_of(row)) :] for row in each[self.taken :]]
+        tests = list(map(self.plan.reported_of, each[self.taken :]))
         self.taken = len(each)
         if tests:
             values = np.array(tests).reshape(-1, len(self.laws))
-            between = self._between.random(values.shape)
-            pairs = zip(self._known, values.T, between.T, strict=True)
-            self._test.observe(np.column_stack([law.shares(*numbers) for law, *numbers in pairs]))
+            self._test.observe(self._known.shares(values, self._between.random(values.shape)))
         return self._test.finding()
 
 

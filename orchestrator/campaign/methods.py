@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from ...schemas.draws.laws import ReportedLaw
+from ...schemas.draws.laws import ReportedLaws
 from ...schemas.errors import CampaignError
 from ...schemas.file.drawn_claims import DrawnClaim
 from ...schemas.file.problem_models import (
@@ -240,16 +240,15 @@ class _Scores:
         self._tests = max(AT_ONCE // plan.replicates, 1)
         self._variant = max(set(plan.variants) & set(header.spec.noisy))
         self._block: tuple[int, Floats] = (-1, np.empty(0))
-        self._laws = list(map(ReportedLaw, header.spec.reported))
+        self._laws = ReportedLaws(header.spec.reported)
 
     def of(self, number: int, reported: Floats) -> Floats:
         """Return the scores of the replicates (b, k) of a test, by its number among those that enter the bound.
 
         `reported` (b, m) is what they report.
         """
-        told = [law.scores(values) for law, values in zip(self._laws, reported.T, strict=True)]
         drawn = self._of_seeds(number) if self._header.spec.drawn else np.empty((len(reported), 0))
-        return np.column_stack([drawn, *told])
+        return self._laws.beside(drawn, reported)
 
     def _of_seeds(self, number: int) -> Floats:
         block, place = divmod(self._plan.test_of(number), self._tests)

@@ -266,7 +266,7 @@ def of_requirement(plan: ProblemPlan, place: int, observation: Observation) -> O
     mean = objectives.mean(list(each))
     y = -mean if replicates_are_robustness(plan.name, plan.problem.method) else mean
     # Each has the same rollouts.
-    return Observation(y, (*each, *observation.each[len(values) :]))
+    return Observation(y, (*each, *plan.reported_of(observation.each)))
 
 
 def _mean(each: list[float]) -> Observation:

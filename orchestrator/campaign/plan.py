@@ -175,6 +175,10 @@ class ProblemPlan:
         """Return the contributions to a test without what its rollouts report."""
         return each[: len(each) - self.reported]
 
+    def reported_of(self, each: Sequence[float]) -> Sequence[float]:
+        """Return what the rollouts of a test report, of its contributions."""
+        return each[len(each) - self.reported :]
+
     @property
     def samples(self) -> int:
         """Tests at most that enter the bound."""

@@ -196,6 +196,22 @@ class ReportedLaw:
         return np.asarray(np.clip(shares, 0.0, 1.0))
 
 
+class ReportedLaws:
+    """The laws of what a system reports, at the values (n, k) of n rollouts."""
+
+    def __init__(self, laws: Sequence[Disturbance]) -> None:
+        self._laws = list(map(ReportedLaw, laws))
+
+    def shares(self, values: Floats, between: Floats) -> Floats:
+        """Return the shares (n, k); `between` (n, k) as of `ReportedLaw.shares`."""
+        each = zip(self._laws, values.T, between.T, strict=True)
+        return np.column_stack([law.shares(*columns) for law, *columns in each])
+
+    def beside(self, drawn: Floats, values: Floats) -> Floats:
+        """Return the scores (n, d + k) of rollouts with drawn disturbances, whose scores are (n, d)."""
+        return np.column_stack([drawn, *(law.scores(each) for law, each in zip(self._laws, values.T, strict=True))])
+
+
 def _nearest(choices: Floats, values: Floats) -> NDArray[np.intp]:
     """Return the place of the nearest choice of each value (n,)."""
     order = np.argsort(choices, kind="stable")

@@ -1,6 +1,6 @@
 """The checks of a campaign against its system under test: parameters, columns, options, horizon."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 from ..errors import CampaignError, DefinitionError, meant, nearest_name
 from ..system import SCORED, Parameter, SystemSpec
@@ -114,28 +114,26 @@ def _disturbance_faults(config: CampaignConfig, spec: SystemSpec) -> Iterator[st
             yield f"disturbances.{name}.unit: {law.unit!r} is not allowed: {spec.name} takes {known[name].unit!r}"
     laws = as_in_campaign(spec.declared, config).disturbances
     if config.control == "on":
-        yield from _law_faults("reported", spec.reported)
+        faults = map(_law_fault, spec.reported)
+        yield from (f"reported.{fault}" for fault in faults if fault is not None)
     if searched(config) and not (laws and set(rolled_out(config.problems[0].name, spec)) & set(spec.declared.noisy)):
         yield f"falsify.over: no variant of {spec.name} that is simulated here has disturbances; remove this key"
-    if not laws:
-        return
-    yield from (faults := list(_law_faults("disturbances", laws)))
     for law in laws:
-        if isinstance(config.space, dict) and law.name in config.space and not faults:
+        if (fault := _law_fault(law)) is not None:
+            yield f"disturbances.{fault}"
+        elif isinstance(config.space, dict) and law.name in config.space:
             yield from _bounded_faults(config, spec.declared, law, config.space[law.name])
 
 
-def _law_faults(key: str, laws: Sequence[Disturbance]) -> Iterator[str]:
-    """Yield what is wrong with the numbers of laws."""
-    if not laws:
-        return
+def _law_fault(law: Disturbance) -> str | None:
+    """Return what is wrong with the numbers of a law."""
     from ..draws.laws import check_law  # noqa: PLC0415  (late: scipy, and numpy for a system without any)
 
-    for law in laws:
-        try:
-            check_law(law)
-        except DefinitionError as error:
-            yield f"{key}.{error}"
+    try:
+        check_law(law)
+    except DefinitionError as error:
+        return str(error)
+    return None
 
 
 def _bounded_faults(config: CampaignConfig, spec: SystemSpec, law: Disturbance, given: Range) -> Iterator[str]:

@@ -159,7 +159,6 @@ PROGRAM_KEYS = (
     "noisy",
     "residual",
     "reported",
-    "reported",
     "variants",
     "samples",
     "seed_bits",

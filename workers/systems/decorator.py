@@ -98,7 +98,7 @@ def system(
             )
         keywords = [each for each in signature if each.kind is each.KEYWORD_ONLY]
         laws = _laws_of(disturbances or {}, keywords, place)
-        told = _known_laws(reported or {}, "reported", place)
+        own = _known_laws(reported or {}, "reported", place)
         taken, seed = (*passed(vectorised), *laws), "seeds" if vectorised else "seed"
         named = [each.name for each in keywords if each.name in taken]
         options = tuple(_option_of(each, place, taken) for each in keywords if each.name not in taken)
@@ -138,7 +138,7 @@ def system(
                 stamps=stamps,
                 disturbances=tuple(each.named(key, each.unit) for key, each in laws.items()),
                 residual=not laws or (seed in named if residual is None else residual),
-                reported=tuple(each.named(key, columns.get(key, each.unit)) for key, each in told.items()),
+                reported=tuple(each.named(key, columns.get(key, each.unit)) for key, each in own.items()),
                 after_end=after_end,
                 vectorised=vectorised,
                 batch_is_the_unit=batch_is_the_unit,

@@ -309,8 +309,8 @@ def load_program(file: Path, config: CampaignConfig) -> ProgramSystem:
         raise DefinitionError(f"{file}: system.{error}") from None
     variants: tuple[Variant, ...] = choice.variants or ("nominal",)
     laws = tuple(law.named(name, law.unit) for name, law in config.disturbances.items())
-    told = choice.reported or {}
-    chance = bool(laws or told) if choice.noisy is None else choice.noisy
+    own = choice.reported or {}
+    chance = bool(laws or own) if choice.noisy is None else choice.noisy
     noisy = (variants if chance else ()) if isinstance(chance, bool) else chance
     try:
         spec = SystemSpec(
@@ -325,7 +325,7 @@ def load_program(file: Path, config: CampaignConfig) -> ProgramSystem:
             default_horizon=config.horizon,
             disturbances=laws,
             residual=choice.residual is not False,
-            reported=tuple(law.named(name, law.unit or choice.columns.get(name, "")) for name, law in told.items()),
+            reported=tuple(law.named(name, law.unit or choice.columns.get(name, "")) for name, law in own.items()),
             seed_bits=choice.seed_bits or SEED_BITS,
             code=files.digests,
             stamps=choice.stamps or "exact",

@@ -452,7 +452,7 @@ class SampleMethod(Method):
         scores = None
         if self._disturbed is not None:
             numbered = enumerate(reported, self._count)
-            scores = np.stack([self._disturbed.scores(number, told) for number, told in numbered])
+            scores = np.stack([self._disturbed.scores(number, own) for number, own in numbered])
         for terms, estimate in zip(self._claims, self._estimates, strict=True):
             values = each[:, terms.place * width : (terms.place + 1) * width]
             if scores is None:

@@ -307,8 +307,8 @@ class ScenarioMethod(Method):
             raise ValueError(f"a test needs values within the clip [{low}, {high}], not {wrong}")
         if self._disturbed is not None:
             # Each test may change the control of the next one.
-            for number, (node, row, told) in enumerate(zip(nodes, values, reported, strict=True), self.n):
-                scores, scenario = self._disturbed.scores(number, told), self._scenarios[node]
+            for number, (node, row, own) in enumerate(zip(nodes, values, reported, strict=True), self.n):
+                scores, scenario = self._disturbed.scores(number, own), self._scenarios[node]
                 self._bet(node[None], row[None], scores)
                 if scenario.learn(row, scores):
                     # What is least of 1 - x + g at any scenario: each may have the next test.

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ....schemas.draws.laws import ReportedLaw
+from ....schemas.draws.laws import ReportedLaws
 from ....schemas.errors import TrajectoryError
 from ....schemas.file.config import CampaignConfig
 from ....schemas.file.draft import CLIP
@@ -114,12 +114,11 @@ class CalibrationRollouts:
         The system has some.
         """
         spec = self._system.spec
-        told = np.array([self._reported.get((each.test, each.replicate), ()) for each in wanted])
+        reported = np.array([self._reported.get((each.test, each.replicate), ()) for each in wanted])
         drawn = np.empty((len(wanted), 0))
         if spec.drawn:
             drawn = self._template.scores([self._seed_of(each, self._variants[0]) for each in wanted])
-        laws = map(ReportedLaw, spec.reported)
-        return np.column_stack([drawn, *(law.scores(values) for law, values in zip(laws, told.T, strict=True))])
+        return ReportedLaws(spec.reported).beside(drawn, reported)
 
     def _run(self, batch: RolloutBatch) -> None:
         ended, done = threading.Event(), [0] * len(batch.parts)
@@ -161,7 +160,7 @@ class CalibrationRollouts:
 
         def value(found: Mapping[str, Trajectory]) -> float:
             observed = observer.observe(plan, {(variant, 0): each for variant, each in found.items()})
-            reported.append(observed.each[len(plan.values_of(observed.each)) :])
+            reported.append(tuple(plan.reported_of(observed.each)))
             return observed.y
 
         values = dict(self._each(batch, value))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ....schemas.draws.laws import ReportedLaw
+from ....schemas.draws.laws import ReportedLaws
 from ....schemas.system_check import Measured
 from ...mathematics.bounds.checks.law import LawTest
 from .findings import SystemFinding, failed, passed, warning
@@ -64,11 +64,12 @@ def judge_reported(measurements: Measurements) -> SystemFinding | None:
     }
     if not by_seed:
         return None
-    values, between = np.array(list(by_seed.values())), np.random.default_rng(0)
+    values = np.array(list(by_seed.values()))
+    shares = ReportedLaws(spec.reported).shares(values, np.random.default_rng(0).random(values.shape))
     refuted = []
-    for law, column in zip(spec.reported, values.T, strict=True):
+    for law, column, own in zip(spec.reported, values.T, shares.T, strict=True):
         test = LawTest(1, level=REPORTED_LEVEL / len(spec.reported))
-        test.observe(ReportedLaw(law).shares(column, between.random(len(column)))[:, np.newaxis])
+        test.observe(own[:, np.newaxis])
         finding = test.finding()
         if finding.values.get("impossible"):
             refuted.append(f"{law.name} has values that its law, {law.words}, does not have")

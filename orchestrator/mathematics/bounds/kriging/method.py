@@ -214,6 +214,6 @@ class KrigingMethod(Method):
         """Return X of the rollouts of a test (b,), and what they report (b, m)."""
         values, reported = each, np.empty((len(each), 0))
         if self._disturbed is not None and self._disturbed.reported:
-            found, told = self._disturbed.split(np.array([each]))
-            values, reported = found[0].tolist(), told[0]
+            (row,), (reported,) = self._disturbed.split(np.array([each]))
+            values = row.tolist()
         return [-value for value in values], reported
