@@ -419,6 +419,9 @@ def _check_reported(spec: SystemSpec) -> None:
             raise ValueError(f"reported: {name} is drawn by the campaign; remove it from here or from disturbances")
         if unit != units[name]:
             raise ValueError(f"reported: {name} is in {unit or 'no unit'!r}, and its column in {units[name]!r}")
+    for law in spec.reported:
+        if law.choices is not None and len(set(law.choices)) < len(law.choices):
+            raise ValueError(f"reported: {law.name} has a choice twice; give it once, with its whole probability")
     if len({each.name for each in spec.reported}) < len(spec.reported):
         raise ValueError("reported: every number needs a column of its own")
 

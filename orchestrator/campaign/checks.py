@@ -11,6 +11,7 @@ from ...schemas.file.against_system import check_against
 from ...schemas.file.config import CampaignConfig
 from ...schemas.file.keys import CampaignKeys
 from ...schemas.file.method_spaces import candidates, draws_starts
+from ...schemas.file.objectives import rolled_out
 from ...schemas.file.parameters import parameter_ranges
 from ...schemas.file.parts import parts_of
 from ...schemas.file.problem_models import KrigingProblem, PaperProblem, Problem
@@ -22,6 +23,7 @@ from ..mathematics.bounds.kriging.design import points_per_parameter
 from ..mathematics.stl.horizon import check_horizon
 from ..mathematics.stl.parser import FormulaError, columns, parse_formula
 from .objectives import LARGEST
+from .plan import is_controlled
 from .starts import check_distributions, check_where
 
 
@@ -37,6 +39,7 @@ def check(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
     checks: list[Callable[[], None]] = [
         partial(check_against, config, spec, source),
         partial(_check_specification, config, spec, source),
+        partial(_check_keep, config, spec, source),
     ]
     if isinstance(config.space, dict) and space_kind(config.space) == "distributions":
         checks.append(partial(check_distributions, config.space, source))
@@ -59,6 +62,18 @@ def check_new(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
         partial(check_sizes, config, source),
         partial(_check_batch, config, spec, source),
     )
+
+
+def _check_keep(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
+    """Refuse a campaign that would drop the samples from which it reads disturbances."""
+    reads = bool(spec.reported) and any(
+        is_controlled(config, spec, problem, rolled_out(problem.name, spec)) for problem in config.problems
+    )
+    if config.keep != "all" and reads:
+        raise CampaignError(
+            f"{source}: keep: {config.keep!r} drops samples, in which {spec.name} reports its disturbances; remove "
+            'this key, or choose control = "off"'
+        )
 
 
 def _check_batch(config: CampaignConfig, spec: SystemSpec, source: str) -> None:

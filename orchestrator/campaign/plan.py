@@ -351,7 +351,7 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
         gradual=most_kept(config.keep) is not None,
         box=isinstance(config.space, dict),
         deterministic=not set(variants) & set(spec.noisy),
-        controlled=(controlled := _is_controlled(config, spec, problem, variants)),
+        controlled=(controlled := is_controlled(config, spec, problem, variants)),
         reports=_reports(spec, variants) if controlled and spec.reported else None,
         requirements=tuple(each.name for each in config.specifications),
         until_counterexample=config.until_counterexample,
@@ -380,7 +380,8 @@ def _reports(spec: SystemSpec, variants: Collection[Variant]) -> Reports:
     return Reports(max(set(variants) & set(spec.noisy)), tuple(columns.index(each.name) for each in spec.reported))
 
 
-def _is_controlled(config: CampaignConfig, spec: SystemSpec, problem: Problem, variants: Collection[Variant]) -> bool:
+def is_controlled(config: CampaignConfig, spec: SystemSpec, problem: Problem, variants: Collection[Variant]) -> bool:
+    """Whether a control takes out what the known disturbances explain of the rollouts of a problem."""
     known = bool(spec.explaining and set(variants) & set(spec.noisy))
     return config.control == "on" and known and _bets_on_means(problem, config)
 

@@ -287,8 +287,10 @@ def _observations_table(header: Header) -> ExportTable:
     objectives = _objectives(header)
     robust = {each.name for each in header.config.problems if replicates_are_robustness(each.name, each.method)}
     config = header.config
-    own = {each.name: config.replicates_of(each) for each in config.problems if config.specifications}
-    # Where each requirement is bounded, it has its replicates; else those of the whole specification come first.
+    is_longer = bool(config.specifications or header.spec.reported)
+    own = {each.name: config.replicates_of(each) for each in config.problems if is_longer}
+    # Where each requirement is bounded, it has its replicates; else those of the whole specification come first. What
+    # rollouts report comes last.
     names = [each.name for each in config.specifications] if parts_of(config) else []
 
     def parts(row: Any) -> Iterator[tuple[str | None, int, float]]:

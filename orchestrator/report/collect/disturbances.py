@@ -45,7 +45,7 @@ class RecordedRollouts(NamedTuple):
 
 def noisy_variant(header: Header, plan: ProblemPlan) -> str | None:
     """Return the variant in which the disturbances of a problem act; None where there is none."""
-    return max(set(plan.variants) & set(header.spec.noisy), default=None) if header.spec.drawn else None
+    return max(set(plan.variants) & set(header.spec.noisy), default=None) if header.spec.explaining else None
 
 
 def disturbance_charts(
@@ -55,7 +55,8 @@ def disturbance_charts(
 
     None before there is anything to show.
     """
-    sampler = None if rollouts is None else _Sampler(header, plan, rollouts)
+    # What rollouts report is in their files alone.
+    sampler = None if rollouts is None or not header.spec.drawn else _Sampler(header, plan, rollouts)
     shares, sampled, chance = list[DisturbanceShare](), 0, None
     if control is not None:
         shares = _of_control(header, control[0], 1.0 if plan.sense == "min" else -1.0)
@@ -65,6 +66,7 @@ def disturbance_charts(
     if not shares:
         return None
     found = None if control is None else control[0]
+    places, drawn = [each.place for each in shares], len(header.spec.disturbances)
     return DisturbanceCharts(
         unit=unit,
         explained=None if found is None else found.explained,
@@ -73,7 +75,7 @@ def disturbance_charts(
         sampled=sampled,
         chance=chance,
         shares=tuple(shares),
-        scatter=None if sampler is None else sampler.scatter(_drawn(header, shares)[:2]),
+        scatter=None if sampler is None else sampler.scatter([each for each in places if each < drawn][:2]),
         worst=None if sampler is None else sampler.worst(),
     )
 
@@ -102,7 +104,10 @@ class _Sampler:
         assert laws is not None, "the system declares disturbances"
         return laws.scores(self.seeds(chosen))
 
-    def scatter(self, axes: Sequence[int]) -> DisturbanceScatter:
+    def scatter(self, axes: Sequence[int]) -> DisturbanceScatter | None:
+        """Return the picture; None without an axis: those that matter are reported."""
+        if not axes:
+            return None
         chosen = self._dots()
         scores, robustness = self.scores(chosen), self._rollouts.robustness
         violations = int((robustness < 0.0).sum())
@@ -158,11 +163,6 @@ def _of_control(header: Header, control: Control, sign: float) -> list[Disturban
         share = control.explained * deviation**2 / total if total else 0.0
         found.append(DisturbanceShare(place, share, deviation, *_curve(law, scores, effect)))
     return _largest(found)
-
-
-def _drawn(header: Header, shares: Sequence[DisturbanceShare]) -> list[int]:
-    """Return the places of those that are drawn: what rollouts report is in their files alone."""
-    return [each.place for each in shares if each.place < len(header.spec.disturbances)]
 
 
 def _of_rollouts(header: Header, sampler: _Sampler) -> tuple[list[DisturbanceShare], float]:

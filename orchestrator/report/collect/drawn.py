@@ -21,10 +21,10 @@ def histograms(
 ) -> list[Drawn]:
     """Return the histogram of the whole specification, then that of each requirement.
 
-    `tests` (n,) are the numbers of the drawn tests, at least one, and `each` (n, w) the robustness as observed there.
+    `tests` (n,) are the numbers of the drawn tests, at least one, and `each` (n, w) the contributions to them.
     """
     names = (None, *plan.requirements)
-    width = int((~np.isnan(each[0])).sum()) // len(names)
+    width = (int((~np.isnan(each[0])).sum()) - plan.reported) // len(names)
     return [
         _histogram(plan, method, (tests, each[:, place * width]), (place, name), unit)
         for place, name in enumerate(names)

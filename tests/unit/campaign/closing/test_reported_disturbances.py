@@ -1,5 +1,6 @@
 """Campaigns on a system that draws its disturbances by itself, and reports them in columns."""
 
+import csv
 import json
 import math
 import sqlite3
@@ -11,9 +12,13 @@ import numpy as np
 import pytest
 
 import perfbound as pb
+from perfbound.orchestrator.campaign.checks import check
 from perfbound.orchestrator.certificate import files
+from perfbound.orchestrator.report.collect.campaign import Collector
 from perfbound.orchestrator.run import service
+from perfbound.orchestrator.store.export import export
 from perfbound.orchestrator.store.rows import DATABASE
+from perfbound.schemas.errors import CampaignError
 from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.result.certificate import Predicate
 from perfbound.schemas.rollout import RolloutRequest
@@ -130,6 +135,39 @@ def test_a_forged_value_is_found(tmp_path: Path) -> None:
     assert verified(tmp_path)
 
 
+def test_samples_in_which_they_are_reported_are_kept() -> None:
+    of_batches = {"batch": 8, "keep": "failures"}
+    with pytest.raises(CampaignError, match="keep: 'failures' drops samples, in which any-function reports"):
+        check(campaign("sample", **of_batches), WINDY, "file")
+    check(campaign("sample", control="off", **of_batches), WINDY, "file")
+
+
+def test_tables_and_histograms_have_the_values_alone(tmp_path: Path) -> None:
+    requirements = [{"name": "a", "formula": "value >= 0"}, {"name": "b", "formula": "value >= -1"}]
+    changes = {"specification": None, "specifications": requirements, "replicates": 4, "max_tests": 20}
+    simulate(tmp_path, campaign("sample", clip=[-0.1, 2.0], **changes), windy(), noisy=True, system=WINDY)
+    (problem,) = Collector(tmp_path).refresh().problems
+    histograms = [each for each in (problem.drawn, *problem.requirements) if each is not None]
+    assert len(histograms) == 3
+    whole, first, second = (each.least for each in histograms)
+    assert (whole, first, second) == pytest.approx((0.12, 0.12, 1.12), abs=0.05), "no wind and no flap"
+    export(tmp_path, tmp_path / "tables", ["observations"])
+    with (tmp_path / "tables/observations.csv").open() as table:
+        rows = list(csv.DictReader(table))
+    assert len(rows) == 20 * 4
+    assert all(0.0 < float(row["contribution"]) < 1.0 for row in rows)
+
+
+def test_a_report_shows_the_control_of_what_rollouts_report(tmp_path: Path) -> None:
+    simulate(tmp_path, campaign("kriging"), windy(), noisy=True, system=WINDY)
+    report = Collector(tmp_path).refresh()
+    charts = report.problems[0].charts.disturbances
+    assert charts is not None
+    assert [report.disturbances[each.place].name for each in charts.shares] == ["wind", "flap"]
+    assert charts.shares[0].share == pytest.approx(0.6, abs=0.1)
+    assert (charts.scatter, charts.worst) == (None, None), "their values are in the files alone"
+
+
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
@@ -137,6 +175,7 @@ def test_a_forged_value_is_found(tmp_path: Path) -> None:
         ({"reported": (pb.Normal(0, 1).named("wind", "m/s"),)}, "wind is in 'm/s', and its column in ''"),
         ({"noisy": ()}, "no variant is noisy"),
         ({"reported": (*REPORTED, REPORTED[0])}, "every number needs a column of its own"),
+        ({"reported": (pb.Choice([1, 1, 2]).named("flap", ""),)}, "flap has a choice twice"),
         ({"disturbances": REPORTED[:1]}, "wind is drawn by the campaign"),
     ],
 )
