@@ -97,12 +97,13 @@ def _one_method(plan: ProblemPlan, header: Header) -> OneMethod:
                 disturbed=disturbed(plan, header, plan.budget * plan.replicates),
             )
         case SampleProblem():
-            known = disturbed(plan, header, plan.samples)
+            samples = plan.budget if plan.falsify is None else plan.falsify.random(plan.budget)
+            known = disturbed(plan, header, samples)
             return SampleMethod(
                 [_terms(plan, claim, known) for claim in plan.claims],
                 Draws(header, plan.name).start,
                 # An exact bound needs a number of samples that no outcome decides, and a counterexample decides it.
-                fixed=None if plan.until_counterexample else plan.samples,
+                fixed=None if plan.until_counterexample else samples,
                 largest=plan.sense == "max",
             )
 

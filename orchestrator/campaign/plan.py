@@ -179,11 +179,6 @@ class ProblemPlan:
         """Return what the rollouts of a test report, of its contributions."""
         return each[len(each) - self.reported :]
 
-    @property
-    def samples(self) -> int:
-        """Tests at most that enter the bound."""
-        return self.budget if self.candidates is not None or self.falsify is None else self.falsify.random(self.budget)
-
     def test_of(self, number: int) -> int:
         """Return the test whose observation is the one with this number among those that enter the bound."""
         return number if self.candidates is not None or self.falsify is None else self.falsify.random_test(number)

@@ -27,7 +27,7 @@ function sensitivityCaption(report, problem) {
   if (explained === null) {
     return `Bars: the share of the variation of the robustness of ${plural(sampled, "rollout")} that a disturbance explains by itself (adjusted R\u00b2 of the means of rollouts with neighbouring values). Curves${most}: these means${unitText(unit) && ` in ${unitText(unit)}`}. This describes the rollouts, and is no part of the claim.${rest}`;
   }
-  return `Bars: the share of the variance of a rollout that the control takes out for a disturbance, over all starts, and the standard deviation of that. Curves${most}: what it takes out${unitText(problem.unit) && ` in ${unitText(problem.unit)}`} in the middle of the starts, up to 3 standard deviations on either side. Together it is ${num(100 * explained, 3)} % of the variance; a standard deviation of ${quantity(left, problem.unit, 3)} is left. The control comes from the tests before, after the first ${plural(before, "rollout")}; the bound is valid whatever it is.${rest}`;
+  return `Bars: the share of the variance of a rollout that the control takes out for a disturbance, over all starts, and the standard deviation of that. Curves${most}: what it takes out${unitText(problem.unit) && ` in ${unitText(problem.unit)}`} in the middle of the starts, up to 3 standard deviations on either side. Together it is ${num(100 * explained, 3)} % of the variance; a standard deviation of ${quantity(left, problem.unit, 3)} is left. The control comes from the tests before, after the first ${plural(before, "rollout")}; the bound is valid whatever it is, if the disturbances have their laws.${rest}`;
 }
 
 function disturbedFigure(report, problem, index) {
