@@ -93,6 +93,9 @@ def test_a_control_takes_what_rollouts_report(method: str, tmp_path: Path) -> No
     assert rows[0] < found.claims[0].bound <= 0.41
     (law,) = [each for each in found.assumptions if each.id.startswith("declared_laws/")]
     assert law.status == "not refuted"
+    assert law.values["values"] == problem.tests * METHODS[method]["replicates"]
+    (order,) = [each for each in found.assumptions if each.id.startswith("one_law_per_start/")]
+    assert int(order.values["values"]) <= int(law.values["values"]), "no reported value is one of a start"
     assert not verified(tmp_path / "on")
 
 
