@@ -29,6 +29,7 @@ JUDGED: dict[str, tuple[str, ...]] = {
     "controls": ("lower", "upper"),
     "audit": ("refuted", "spread"),
     "kriging-audit": ("bound", "refuted"),
+    "law-audit": ("bound", "norm", "law"),
     "paper": (),
 }
 """The statements of a kind that must not fail more often than claimed; `failed` is any of the others."""
@@ -56,17 +57,21 @@ class Found(NamedTuple):
 
     @property
     def allowed(self) -> int:
-        return allowed(self.campaigns, self.row.claimed)
+        return self.limit("")
+
+    def limit(self, name: str) -> int:
+        """Return how often a statement may be false: by its own level, if it has one."""
+        return allowed(self.campaigns, getattr(self.row, "levels", {}).get(name, self.row.claimed))
 
     @property
     def judged(self) -> tuple[str, ...]:
         """Requirement on this row: nothing where the premises are wrong on purpose."""
-        wrong = any(getattr(self.row, name, 1.0) != 1.0 for name in ("small_b", "small_r"))
+        wrong = any(getattr(self.row, name, 1.0) != 1.0 for name in ("small_b", "small_r", "law_scale"))
         return () if wrong else JUDGED[self.row.kind]
 
     @property
     def fails(self) -> bool:
-        return any(self.count(name) > self.allowed for name in self.judged)
+        return any(self.count(name) > self.limit(name) for name in self.judged)
 
 
 Column = tuple[str, Callable[[Found], str]]
@@ -276,6 +281,22 @@ TABLES: dict[str, tuple[str, list[Column]]] = {
             ("verdict", lambda found: _verdict(found) if found.judged else "-"),
         ],
     ),
+    "law-audit": (
+        "The test of a declared law: false alarms in the rows with the right scale, power in the others",
+        [
+            ("bounds of", lambda found: found.row.bounds),
+            ("true scale, of the declared one", _of("law_scale")),
+            ("rollouts", _of("rollouts")),
+            CAMPAIGNS,
+            ("law refuted", _share("law")),
+            ("B refuted", _share("norm")),
+            ("bound wrong", _share("bound")),
+            ("bound wrong and nothing refuted", _share("unnoticed")),
+            ("mean loss", _mean("width", 4)),
+            ("allowed", lambda found: str(found.allowed) if found.judged else "-"),
+            ("verdict", lambda found: _verdict(found) if found.judged else "-"),
+        ],
+    ),
     "paper": (
         "Contrast, not judged: method `paper`",
         [
@@ -401,6 +422,9 @@ NAMES = {
     ("audit", "spread"): "false alarm about R",
     ("kriging-audit", "bound"): "bound",
     ("kriging-audit", "refuted"): "false alarm about B",
+    ("law-audit", "bound"): "bound",
+    ("law-audit", "norm"): "false alarm about B",
+    ("law-audit", "law"): "false alarm about the law",
 }
 
 

@@ -16,7 +16,12 @@ from typing import Any, ClassVar, Protocol
 
 ROOT = Path(__file__).parents[3]
 DIRECTORY = Path("build/coverage")
-MODULES = {"audit": "rigorous", "kriging-audit": "kriging", "controls": "controls.campaigns"}
+MODULES = {
+    "audit": "rigorous",
+    "kriging-audit": "kriging",
+    "controls": "controls.campaigns",
+    "law-audit": "controls.wrong_laws",
+}
 """Module of the campaigns of a kind, if it is not the module of its name."""
 
 Chunk = dict[str, list[float]]

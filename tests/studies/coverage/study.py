@@ -7,6 +7,7 @@ import numpy as np
 
 from tests.studies.coverage import composition, kriging, paper, regions, requirements, rigorous, sampling, scenario
 from tests.studies.coverage.controls import campaigns as controls
+from tests.studies.coverage.controls import wrong_laws
 from tests.studies.coverage.records import Chunk, Row, digest
 
 CHUNK = 50
@@ -23,6 +24,7 @@ CAMPAIGNS: dict[str, Callable[[Any, np.random.Generator], dict[str, float]]] = {
     "controls": controls.campaign,
     "audit": rigorous.audited,
     "kriging-audit": kriging.campaign,
+    "law-audit": wrong_laws.campaign,
     "paper": paper.campaign,
 }
 
@@ -40,6 +42,7 @@ def all_rows() -> list[Row]:
         controls.rows,
         rigorous.audits,
         kriging.audits,
+        wrong_laws.rows,
         paper.rows,
     )
     return [row for rows in makers for row in rows()]

@@ -14,7 +14,7 @@ from tests.studies.coverage.oracle import LEVEL, at_most
 RESULTS = Path(__file__).with_name("results")
 ORIGINS = "origins.csv"
 FIGURE = "images/coverage-audit.png"
-PARTS = ("claims", "audit", "contrast")
+PARTS = ("claims", "audit", "laws", "contrast")
 """The generated parts of the page."""
 
 Line = Mapping[str, str]
@@ -128,7 +128,7 @@ def csv_text(lines: Sequence[Line]) -> str:
 
 def part(name: str, results: Path = RESULTS) -> str:
     """Return one generated part of the page with its marks."""
-    text = {"claims": _claims, "audit": _audit, "contrast": _contrast}[name](results)
+    text = {"claims": _claims, "audit": _audit, "laws": _laws, "contrast": _contrast}[name](results)
     begin, end = marks(name)
     return f"{begin}\n\n{text}\n\n{end}"
 
@@ -184,6 +184,7 @@ def _summed(group: Group, lines: Sequence[Line]) -> Iterator[list[str]]:
         ]
 
 
+KINDS = {"kriging": "`kriging`", "mean": "`sample`, mean"}
 FACTORS = ("1.2", "1.25", "2", "4")
 """By which B is too small, in the table of the audit; the figure has more."""
 
@@ -212,6 +213,26 @@ def _audit(results: Path) -> str:
         f"R {spread} times, and {counts['bound wrong']} bounds were wrong: {verdict}."
     )
     return f"{table(head, cells)}\n\n{words}\n\n![Power of the audit]({FIGURE})"
+
+
+def _laws(results: Path) -> str:
+    head = ["bound of", "true scale", "rollouts", "law refuted %", "bound wrong %", "not refuted %"]
+    titles = ["true scale, of the declared one", "rollouts", "law refuted", "bound wrong"]
+    titles += ["bound wrong and nothing refuted"]
+    lines = read("law-audit", results)
+    cells = [
+        _plain([KINDS[line["bounds of"]], *(line[title] for title in titles)])
+        for line in lines
+        if line["verdict"] == "-"
+    ]
+    right = [line for line in lines if line["verdict"] != "-"]
+    verdict = "ok" if all(line["verdict"] == "ok" for line in right) else "**FAILS**"
+    counts = {title: sum(_count(line, title) for line in right) for title in ("law refuted", "bound wrong")}
+    words = (
+        f"With the right law, in {sum(int(line['campaigns']) for line in right):,} campaigns, it was refuted "
+        f"{counts['law refuted']} times, and {counts['bound wrong']} bounds were wrong: {verdict}."
+    )
+    return f"{table(head, cells)}\n\n{words}"
 
 
 def _count(line: Line, title: str) -> int:

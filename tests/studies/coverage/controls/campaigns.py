@@ -18,7 +18,7 @@ from perfbound.orchestrator.mathematics.gp.kernels import Matern
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice
 from perfbound.orchestrator.mathematics.gp.points import Points
 from perfbound.schemas.values import SampledQuantity
-from tests.studies.coverage.controls.disturbed import DISTURBED, MEAN, RARE, RISK_WEIGHT, Floats, draw
+from tests.studies.coverage.controls.disturbed import DISTURBED, MEAN, RARE, RISK_WEIGHT, Disturbed, Floats, draw
 from tests.studies.coverage.oracle import ROUNDING
 
 Bounds = Literal["kriging", "scenario", "mean", "risk", "CVaR"]
@@ -44,6 +44,16 @@ class Controls:
         """The failure probability that the method claims."""
         return self.delta
 
+    @property
+    def tests(self) -> int:
+        """Number of tests, of REPLICATES rollouts each."""
+        return TESTS
+
+    @property
+    def law(self) -> Disturbed:
+        """The rollouts."""
+        return DISTURBED[self.disturbances]
+
 
 def rows() -> Iterator[Controls]:
     """Every bound with all that disturbances may do."""
@@ -63,10 +73,10 @@ def campaign(row: Controls, rng: np.random.Generator, *, told: float | None = No
     """
     delta, scores = told or row.delta, list[Floats]()
     width = 1 if row.bounds in QUANTITIES else REPLICATES
-    known = Known(BASES, lambda test, _: scores[test], TESTS * REPLICATES)
-    method, law, aim = _method(row, delta, known), DISTURBED[row.disturbances], _aim(row)
+    known = Known(BASES, lambda test, _: scores[test], row.tests * REPLICATES)
+    method, law, aim = method_of(row, delta, known), row.law, aim_of(row)
     lower = refuted = False
-    for test in range(TESTS):
+    for test in range(row.tests):
         drawn = draw(rng, REPLICATES)
         scores.extend(drawn.reshape(-1, width, 2))
         each = law.value(drawn, rng, _side(method)).reshape(-1, width)
@@ -80,7 +90,7 @@ def campaign(row: Controls, rng: np.random.Generator, *, told: float | None = No
             break
         sums = method.bets.bounds
         lower |= bool((sums._sum + math.log(delta) > sums._weights.sum(axis=1) * MEAN + ROUNDING).any())
-    bound, upper = _bounds(method)
+    bound, upper = bounds_of(method)
     return {
         "lower": lower or bound > aim + ROUNDING,
         "upper": refuted or upper < MEAN - ROUNDING,
@@ -89,12 +99,13 @@ def campaign(row: Controls, rng: np.random.Generator, *, told: float | None = No
     }
 
 
-def _method(row: Controls, delta: float, known: Known) -> Method:
+def method_of(row: Controls, delta: float, known: Known) -> Method:
+    """Return the method of a row, before its first test."""
     match row.bounds:
         case "kriging":
             # m0 - B everywhere: the assumption proves it, and the rollouts leave least to spare.
             premises = KrigingPremises(NORM, -(MEAN + NORM), (-1.0, 0.0), delta)
-            budget = KrigingBudget(TESTS, REPLICATES, 3)
+            budget = KrigingBudget(row.tests, REPLICATES, 3)
             lattice, kernel = Lattice((0.0,), (1.0,), 5), Matern(2.5, 1e4)
             return KrigingMethod(lattice, kernel, premises, spread=0.2, budget=budget, disturbed=known)
         case "scenario":
@@ -114,12 +125,11 @@ def _method(row: Controls, delta: float, known: Known) -> Method:
 
 
 @cache
-def _aim(row: Controls) -> float:
+def aim_of(row: Controls) -> float:
     """Return what the bound must not exceed."""
-    law = DISTURBED[row.disturbances]
     if row.bounds == "CVaR":
-        return law.worst_half() + TRUTH
-    return law.risk() + TRUTH if row.bounds == "risk" else MEAN
+        return row.law.worst_half() + TRUTH
+    return row.law.risk() + TRUTH if row.bounds == "risk" else MEAN
 
 
 def _side(method: Method) -> int:
@@ -130,7 +140,7 @@ def _side(method: Method) -> int:
     return -1 if levels[-1] > levels[0] else 1
 
 
-def _bounds(method: Method) -> tuple[float, float]:
+def bounds_of(method: Method) -> tuple[float, float]:
     """Return the bound, and that from the other side."""
     if isinstance(method, ScenarioMethod):
         found = method.bound()

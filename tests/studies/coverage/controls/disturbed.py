@@ -5,6 +5,7 @@
 | t, w   | `scores` | a standard normal number, and 0 with probability RARE, else 1                  | (b, 2) | -    |
 | X      |          | rollout, in [0, 1], of mean MEAN                                               | (b,)   | -    |
 | a      | `side`   | 1 or -1, as an adversary chooses it from the past                              | ()     | -    |
+| s      | `scale`  | standard deviation of t, which is declared as 1                                | ()     | -    |
 """
 
 import math
@@ -38,9 +39,9 @@ class Disturbed(NamedTuple):
         return float(np.sort(self.law)[: len(self.law) // 2].mean())
 
 
-def draw(rng: np.random.Generator, count: int) -> Floats:
+def draw(rng: np.random.Generator, count: int, scale: float = 1.0) -> Floats:
     """Return scores (b, 2)."""
-    return np.column_stack([rng.standard_normal(count), rng.random(count) >= RARE])
+    return np.column_stack([scale * rng.standard_normal(count), rng.random(count) >= RARE])
 
 
 def _curve(t: Floats) -> Floats:
@@ -52,10 +53,11 @@ def _cauchy(t: Floats) -> Floats:
     return np.asarray(np.clip(0.04 * np.tan(np.pi * (ndtr(t) - 0.5)), -0.35, 0.35))
 
 
-def _clipped(t: Floats) -> Floats:
-    """A fall by 0.25 of -t, by at most 0.4, less its mean."""
-    density = [math.exp(-each * each / 2) / math.sqrt(2 * math.pi) for each in (0.0, 1.6)]
-    mean = 0.25 * (density[0] - density[1]) + 0.4 * float(ndtr(-1.6))
+def _clipped(t: Floats, scale: float = 1.0) -> Floats:
+    """A fall by 0.25 of -t, by at most 0.4, less its mean where t has standard deviation s."""
+    slope, end = 0.25 * scale, 0.4 / (0.25 * scale)
+    density = [math.exp(-each * each / 2) / math.sqrt(2 * math.pi) for each in (0.0, end)]
+    mean = slope * (density[0] - density[1]) + 0.4 * float(ndtr(-end))
     return np.asarray(mean - np.clip(-0.25 * t, 0.0, 0.4))
 
 
@@ -72,3 +74,8 @@ DISTURBED: dict[str, Disturbed] = {
     "two values": Disturbed(lambda scores, _, __: MEAN + 0.1 - (scores[:, 1] == 0.0) / 1.5, MEAN + FALL),
 }
 """By what the disturbances do. An adversary turns the curve of t against the slope that the control has learnt."""
+
+
+def of_scale(scale: float) -> Disturbed:
+    """Rollouts of mean MEAN, a fall that t of this standard deviation explains: declared as 1, it biases a control."""
+    return Disturbed(lambda scores, _, __: MEAN + _clipped(scores[:, 0], scale), MEAN + _clipped(scale * T, scale))
