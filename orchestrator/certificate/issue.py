@@ -171,11 +171,11 @@ def _at_start(ledger: Ledger) -> document.FailureAtStart | None:
     )
 
 
-def _values(header: Header, rollout: RolloutId, start: Sequence[float], seed: int) -> dict[str, float]:
+def _values(header: Header, rollout: RolloutId, start: Sequence[float], seed: int) -> dict[str, document.DrawnValue]:
     """Return the values of the disturbances of a rollout by their names."""
     drawn = header.template.disturbances(rollout.variant, [start], [seed])
-    names = [law.name for law in header.spec.disturbances]
-    return dict(zip(names, drawn[0], strict=True)) if drawn else {}
+    each = zip(header.spec.disturbances, drawn[0] if drawn else (), strict=bool(drawn))
+    return {law.name: document.DrawnValue(value=value, unit=law.unit) for law, value in each}
 
 
 def _listed(evidence: Manifest) -> list[FileId]:

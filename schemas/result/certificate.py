@@ -223,11 +223,18 @@ class FailureAtStart(Model):
     )
 
 
+class DrawnValue(Model):
+    """The value of a disturbance in one rollout."""
+
+    value: float
+    unit: str
+
+
 class LikeliestFailure(Model):
     """The failing rollout whose disturbances are likeliest, of those that a search tried."""
 
     start: dict[str, float] = Field(description="with the scores of the disturbances, in sd")
-    disturbances: dict[str, float] = Field(description="their values")
+    disturbances: dict[str, DrawnValue] = Field(description="their values")
     distance: float = Field(description="of the scores from the medians: the root of the sum of their squares, in sd")
     robustness: float = Field(description="below 0")
     rollout: str = Field(description="the counterexample itself, where no likelier one was found")
@@ -247,7 +254,7 @@ class Counterexample(Model):
     rollouts: int = Field(description="of this test; where nothing is random, one shows the violation for good")
     start: dict[str, float]
     seed: int
-    disturbances: dict[str, float] = Field(
+    disturbances: dict[str, DrawnValue] = Field(
         default_factory=dict,
         exclude_if=lambda values: not values,
         description="their values, of a system that declares some",

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from decimal import ROUND_FLOOR, Context
 
 from ....schemas.amounts import counted
-from ....schemas.result.certificate import Counterexample, FailureAtStart, LikeliestFailure, RiskAtStart
+from ....schemas.result.certificate import Counterexample, DrawnValue, FailureAtStart, LikeliestFailure, RiskAtStart
 from ..assumptions.sentences import statement
 from .bound_text import DIGITS, in_unit, outward
 
@@ -144,13 +144,13 @@ def _shrunk_words(found: Counterexample, unit: str, units: Mapping[str, str] | N
     return f"on the line there, with this seed, the failing start next to one that passes, after {tried}: {where}"
 
 
-def values_words(disturbances: Mapping[str, float]) -> str:
+def values_words(disturbances: Mapping[str, DrawnValue]) -> str:
     """Return the values of disturbances.
 
-    >>> values_words({"gust": 5.80000001, "mass": 1.0})
-    'gust = 5.8, mass = 1'
+    >>> values_words({"gust": DrawnValue(value=5.80000001, unit="m/s"), "drag": DrawnValue(value=1.0, unit="")})
+    'gust = 5.8 m/s, drag = 1'
     """
-    return ", ".join(f"{name} = {value:.4g}" for name, value in disturbances.items())
+    return ", ".join(in_unit(f"{name} = {each.value:.4g}", each.unit) for name, each in disturbances.items())
 
 
 def margin_words(robustness: float, unit: str) -> str:

@@ -175,6 +175,17 @@ def test_a_run_that_ends_by_a_collision_says_so(started: Processes) -> None:
     assert "alone it gives one trajectory, twice: rollouts of workers of one machine seem to collide" in ended.last_line
 
 
+def test_what_a_campaign_refuses_of_a_rollout_alone_is_no_collision(started: Processes) -> None:
+    """It repeats, and is one sample where the horizon is 1 s."""
+    (started.folder / "shares.py").write_text(ALONE.split("    name =")[0] + "    return x\n")
+    campaign = started.folder / "port.toml"
+    campaign.write_text(CAMPAIGN.replace("CHOICE", 'python = "shares.py:shares"'))
+    ended = started.run("perfbound", "run", campaign, "--out", "run", "--workers", "2")
+    assert ended.code == 1
+    assert "remove `horizon` from the file" in ended.last_line
+    assert "seem to collide" not in ended.last_line
+
+
 # The places themselves
 
 TAKES = "import perfbound as pb, sys; own = pb.Worker.own(); print(own.number, own.scratch, own.port, flush=True); "

@@ -75,7 +75,7 @@ def test_the_likeliest_failure_is_found_and_everything_follows_from_the_evidence
     exact = (2.2**2 + 2.0**2) ** 0.5
     assert exact <= first.likeliest.distance <= exact + 0.1
     assert first.likeliest.start["gust"] == pytest.approx(2.2, abs=0.05)
-    assert first.likeliest.disturbances["gust"] == pytest.approx(1 + 2 * first.likeliest.start["gust"], abs=1e-6)
+    assert first.likeliest.disturbances["gust"].value == pytest.approx(1 + 2 * first.likeliest.start["gust"], abs=1e-6)
     assert first.likeliest.rollouts <= 100
     sampled = first.likeliest.at_start
     assert sampled is not None
