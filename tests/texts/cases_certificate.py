@@ -13,7 +13,7 @@ from rich.console import Console
 
 from perfbound.orchestrator.certificate.words.control_text import control_sentence
 from perfbound.orchestrator.certificate.words.known_text import verdict_lines
-from perfbound.orchestrator.certificate.words.refutation_text import counterexample_words
+from perfbound.orchestrator.certificate.words.refutation_text import counterexample_parts
 from perfbound.orchestrator.certificate.words.text import notes
 from perfbound.orchestrator.cli.result import print_end, print_everything
 from perfbound.orchestrator.run import service
@@ -24,6 +24,7 @@ from perfbound.schemas.result.certificate import (
     Bounded,
     BoundedDisturbance,
     Counterexample,
+    DrawnValue,
     FailureAtStart,
     LikeliestFailure,
     MostStarts,
@@ -115,7 +116,7 @@ def _disturbances() -> Cases:
         yield f"bounded: {', '.join(one.name for one in each)}", "\n".join(notes(found, 0))
     near = LikeliestFailure(
         start={"speed": 30.0, "gust": 2.9},
-        disturbances={"gust": 5.8},
+        disturbances={"gust": DrawnValue(value=5.8, unit="m/s")},
         distance=2.9,
         robustness=-0.001,
         rollout="shrink.47.nominal.0",
@@ -127,12 +128,12 @@ def _disturbances() -> Cases:
         test=2,
         rollouts=1,
         start={"speed": 30.0, "gust": 4.5},
-        disturbances={"gust": 9.0},
+        disturbances={"gust": DrawnValue(value=9.0, unit="m/s")},
         seed=7,
         robustness=-0.25,
         likeliest=near,
     )
-    yield "the likeliest failure", counterexample_words(counterexample, "m", {"speed": "m/s", "gust": "sd"})
+    yield "the likeliest failure", "; ".join(counterexample_parts(counterexample, "m", {"speed": "m/s", "gust": "sd"}))
 
 
 def _confidence() -> Cases:

@@ -74,11 +74,6 @@ def _listed(refuted: Sequence[str]) -> str:
 # The counterexample, and what a bisection made of it, if it was sought
 
 
-def counterexample_words(found: Counterexample, unit: str, units: Mapping[str, str] | None = None) -> str:
-    """Return what a counterexample is, in one sentence; arguments as of `counterexample_parts`."""
-    return "; ".join(counterexample_parts(found, unit, units))
-
-
 def counterexample_parts(found: Counterexample, unit: str, units: Mapping[str, str] | None = None) -> tuple[str, ...]:
     """Return what a counterexample is, and what followed it, in a part each.
 

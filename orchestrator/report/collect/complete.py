@@ -195,8 +195,9 @@ def ending_counterexample(
         )
         worst = next(of_end, None)
         if worst is not None:
-            sentence = wording.counterexample_sentence(certified or _of_facts(each, worst), header)
-            return FoundCounterexample(worst.rollout.problem, worst.rollout.test, sentence, command(str(worst.rollout)))
+            sentences = wording.counterexample_sentences(certified or _of_facts(each, worst), header)
+            again = command(str(worst.rollout))
+            return FoundCounterexample(worst.rollout.problem, worst.rollout.test, sentences, again)
     return None
 
 

@@ -131,8 +131,8 @@ class FoundCounterexample:
 
     problem: str
     test: int
-    sentence: str
-    """Its start, seed and robustness in words; also what a bisection made of it, if it was sought."""
+    sentences: tuple[str, ...]
+    """Its start, seed and robustness in words; also what followed it, if that was sought."""
     command: str
     """Command that simulates it again."""
 

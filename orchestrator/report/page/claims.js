@@ -31,10 +31,15 @@ function titleSection(report) {
   );
 }
 
+/** Whether the claims are of starts that are drawn. */
+function drawsStarts({ problems }) {
+  return problems.length > 0 && problems[0].method === "sample";
+}
+
 /** Of which starts of the space the first claim is. */
 function startsText(report) {
   if (report.problems.some(isListed)) return "each of ";
-  return report.problems[0]?.drawn ? "starts that are drawn with " : "every start with ";
+  return drawsStarts(report) ? "starts that are drawn with " : "every start with ";
 }
 
 /** When a campaign ended, and who ran it. */
@@ -90,7 +95,9 @@ function rolloutsText(report) {
 
 function spaceText(report) {
   const starts = report.problems.find(isListed)?.surfaces[0].points.length;
-  const box = report.axes.map(({ name, low, high, unit }) => `${short(name, 24)} ${num(low)} to ${quantity(high, unit)}`);
+  // Beside drawn starts a search may choose disturbances, which no claim is for.
+  const chosen = drawsStarts(report) ? report.disturbances.map(({ name }) => name) : [];
+  const box = report.axes.filter(({ name }) => !chosen.includes(name)).map(({ name, low, high, unit }) => `${short(name, 24)} ${num(low)} to ${quantity(high, unit)}`);
   const region = report.where === null ? "" : `, where ${short(report.where, 300)}`;
   return (starts ? `${plural(starts, "start")} with ` : "") + box.join(", ") + region;
 }
@@ -224,7 +231,7 @@ function counterexample({ counterexample: found }) {
   return el(
     "div.refuted#counterexample",
     el("p.shout", "COUNTEREXAMPLE"),
-    el("p", sentence(found.sentence, 1000)),
+    ...found.sentences.map((each) => el("p", sentence(each, 1000))),
     el("p", el("button", { "data-select": `${found.problem}:${found.test}` }, "Show its trajectory")),
     commandLine(found.command),
   );

@@ -274,7 +274,7 @@ def ended_by_counterexample(report: ReportData, test: int) -> ReportData:
     """The same, ended by a rollout of a test of the first problem."""
     name = report.problems[0].name
     rollouts = (rollout(name, test, "true", 0, -0.2), rollout("shrink", 3, "true", 0, -0.1))
-    found = FoundCounterexample(name, test, f"Test {test} violates the specification.", rollouts[0].command)
+    found = FoundCounterexample(name, test, (f"Test {test} violates the specification.",), rollouts[0].command)
     return replace(report, counterexample=found, counterexamples=rollouts, violations=2, later_violations=1)
 
 

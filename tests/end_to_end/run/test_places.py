@@ -177,7 +177,7 @@ def test_a_run_that_ends_by_a_collision_says_so(started: Processes) -> None:
 
 def test_what_a_campaign_refuses_of_a_rollout_alone_is_no_collision(started: Processes) -> None:
     """It repeats, and is one sample where the horizon is 1 s."""
-    (started.folder / "shares.py").write_text(ALONE.split("    name =")[0] + "    return x\n")
+    (started.folder / "shares.py").write_text(ALONE.partition("    name =")[0] + "    return x\n")
     campaign = started.folder / "port.toml"
     campaign.write_text(CAMPAIGN.replace("CHOICE", 'python = "shares.py:shares"'))
     ended = started.run("perfbound", "run", campaign, "--out", "run", "--workers", "2")

@@ -129,7 +129,7 @@ def test_the_certificate_is_verified_and_says_it_first(tmp_path: Path) -> None:
     page = Collector(tmp_path).refresh()
     assert page.counterexample is not None
     test = certificate.predicate.counterexample.test
-    assert page.counterexample.sentence.startswith(f"Test {test} violates the spec")
+    assert page.counterexample.sentences[0].startswith(f"Test {test} violates the spec")
     assert (page.counterexample.problem, page.counterexample.test) == ("robustness", test)
     (tmp_path / files.CERTIFICATE).unlink()
     before = Collector(tmp_path).refresh()

@@ -12,7 +12,7 @@ import perfbound as pb
 from perfbound.orchestrator.campaign.closing import importance
 from perfbound.orchestrator.campaign.starts import Draws
 from perfbound.orchestrator.certificate import files
-from perfbound.orchestrator.certificate.words.refutation_text import counterexample_words
+from perfbound.orchestrator.certificate.words.refutation_text import counterexample_parts
 from perfbound.orchestrator.mathematics.bounds.one_law.failures import beta_mixture_upper
 from perfbound.orchestrator.report.collect.campaign import Collector
 from perfbound.orchestrator.run import service
@@ -84,7 +84,9 @@ def test_the_likeliest_failure_is_found_and_everything_follows_from_the_evidence
     assert (sampled.rollouts, sampled.share) == (200, 0.1)
     assert 20 < sampled.failures < 100
     assert first.disturbances.keys() == first.likeliest.disturbances.keys() == {"gust", "drag", "wet"}
-    assert says(counterexample_words(first, ""), "the likeliest failure of further rollouts is sd from the medians")
+    assert says(
+        "; ".join(counterexample_parts(first, "")), "the likeliest failure of further rollouts is sd from the medians"
+    )
     assert says(repr(pb.open(tmp_path)), "VERDICT VIOLATED COUNTEREXAMPLE likeliest failure probability at least CLAIM")
     (problem,) = Collector(tmp_path).refresh().problems
     assert problem.stopped_by == "counterexample"
@@ -153,8 +155,8 @@ def test_a_campaign_without_them_bounds_no_probability(tmp_path: Path, tests: st
     first = predicate(tmp_path).counterexample
     assert first is not None
     assert first.likeliest is None or first.likeliest.at_start is None
-    assert says(counterexample_words(first, ""), "violates the specification")
-    assert "probability" not in counterexample_words(first, "")
+    assert says("; ".join(counterexample_parts(first, "")), "violates the specification")
+    assert "probability" not in "; ".join(counterexample_parts(first, ""))
 
 
 def test_only_drawn_tests_are_evidence_and_their_disturbances_follow_their_laws(tmp_path: Path) -> None:

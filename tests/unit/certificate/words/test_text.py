@@ -7,7 +7,7 @@ from rich.console import Console
 
 from perfbound.orchestrator.certificate.words import text as summary
 from perfbound.orchestrator.certificate.words.bound_text import outward
-from perfbound.orchestrator.certificate.words.refutation_text import counterexample_words
+from perfbound.orchestrator.certificate.words.refutation_text import counterexample_parts
 from perfbound.orchestrator.cli.result import print_files
 from perfbound.orchestrator.report.collect.wording import claim_sentence
 from perfbound.orchestrator.report.data.claims import assumption_row
@@ -274,7 +274,7 @@ def test_a_counterexample_has_the_order_and_the_units_of_the_parameters() -> Non
     found = Counterexample(
         rollout="robustness.5.nominal.0", test=5, rollouts=1, start={"load": 3.1, "temp": 55.4}, seed=7, robustness=-0.5
     )
-    words = counterexample_words(found, "N", {"temp": "K", "load": "kg"})
+    words = "; ".join(counterexample_parts(found, "N", {"temp": "K", "load": "kg"}))
     assert says(words, "-0.5000 N temp = 55.4 K load = 3.1 kg seed 7")
 
 
