@@ -18,7 +18,9 @@ from perfbound.orchestrator.mathematics.bounds.rigorous.confidence import scales
 from tests.studies.coverage import composition, kriging, rigorous, sampling, scenario
 from tests.studies.coverage.composition import Composition
 from tests.studies.coverage.controls import campaigns as controls
+from tests.studies.coverage.controls import wrong_laws
 from tests.studies.coverage.controls.campaigns import Bounds, Controls
+from tests.studies.coverage.controls.wrong_laws import DeclaredLaw
 from tests.studies.coverage.kriging import Kriging, KrigingAudit
 from tests.studies.coverage.oracle import allowed
 from tests.studies.coverage.page import Found
@@ -98,6 +100,14 @@ def test_the_audit_of_kriging_needs_no_noise_to_find_a_norm_that_is_half_the_rig
 def test_an_understated_delta_with_a_control_is_noticed(bounds: Bounds, disturbances: str) -> None:
     row = Controls(bounds, disturbances)
     assert together(controls.campaign, row, 50, told=0.9)["lower"] > allowed(50, row.claimed)
+
+
+@pytest.mark.parametrize("bounds", ["kriging", "mean"])
+def test_a_scale_that_is_wrong_by_a_tenth_makes_bounds_wrong_and_is_mostly_refuted(bounds: Bounds) -> None:
+    found = together(wrong_laws.campaign, DeclaredLaw(bounds, law_scale=1.1, rollouts=2048), 20)
+    assert found["bound"] == 20
+    assert found["law"] > 12
+    assert together(wrong_laws.campaign, DeclaredLaw(bounds, rollouts=2048), 20)["law"] <= allowed(20, 0.01)
 
 
 def test_an_understated_delta_of_scenarios_is_noticed() -> None:

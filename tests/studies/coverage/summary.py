@@ -217,11 +217,17 @@ def _audit(results: Path) -> str:
 
 def _laws(results: Path) -> str:
     head = ["bound of", "true scale", "rollouts", "law refuted %", "bound wrong %", "not refuted %"]
-    titles = ["true scale, of the declared one", "rollouts", "law refuted", "bound wrong"]
-    titles += ["bound wrong and nothing refuted"]
+    titles = ["law refuted", "bound wrong", "bound wrong and nothing refuted"]
     lines = read("law-audit", results)
     cells = [
-        _plain([KINDS[line["bounds of"]], *(line[title] for title in titles)])
+        _plain(
+            [
+                KINDS[line["bounds of"]],
+                line["true scale, of the declared one"],
+                f"{int(line['rollouts']):,}",
+                *(line[title] for title in titles),
+            ]
+        )
         for line in lines
         if line["verdict"] == "-"
     ]

@@ -19,6 +19,7 @@ from sklearn.gaussian_process.kernels import Matern
 from tests.studies.coverage import bounded, functions, laws, noises, oracle, page, records, run, spot_page, summary
 from tests.studies.coverage.controls import disturbed
 from tests.studies.coverage.controls.campaigns import Bounds, Controls
+from tests.studies.coverage.controls.wrong_laws import DeclaredLaw
 from tests.studies.coverage.kriging import Kriging
 from tests.studies.coverage.records import Row
 from tests.studies.coverage.regions import Region
@@ -160,8 +161,10 @@ def test_the_design_has_every_level() -> None:
     weighted = [row for row in rows if type(row) is Kriging]
     assert {row.noise for row in weighted} == set(bounded.BOUNDED)
     assert {(row.flat, row.order) for row in weighted} == set(product((False, True), ("planned", "where lowest")))
-    controlled = {(row.bounds, row.disturbances) for row in rows if isinstance(row, Controls)}
+    controlled = {(row.bounds, row.disturbances) for row in rows if type(row) is Controls}
     assert controlled == set(product(get_args(Bounds), disturbed.DISTURBED))
+    declared = {(row.bounds, row.law_scale, row.rollouts) for row in rows if isinstance(row, DeclaredLaw)}
+    assert declared == set(product(("kriging", "mean"), (0.9, 1.0, 1.1), (512, 1024, 2048, 4096)))
     assert {(row.dimension, row.flat) for row in rows if isinstance(row, Region)} == {
         (1, True),
         (1, False),
