@@ -164,7 +164,7 @@ faults: $(INSTALLED)-dev ## Campaigns under seeded faults: kill, stop, partition
 coverage: $(INSTALLED)-dev ## How often bounds fail, over thousands of campaigns (half an hour; continues where it stopped)
 	$(BIN)/python -m tests.studies.coverage
 
-reproduce: setup ## The paper's tables and figures, into runs/paper (half an hour; continues where it stopped)
+reproduce: setup ## The paper's tables and figures, into runs/paper (20 minutes; continues where it stopped)
 	$(BIN)/perfbound reproduce paper --out runs/paper
 
 $(VENV)-bench/.installed: tests/studies/benchmarks/requirements.txt

@@ -17,6 +17,7 @@ from .objectives import MethodName, ProblemName
 from .problem_models import PROBLEM_MODELS, KrigingProblem, RigorousProblem
 from .requirements import listed
 from .signals import MAX_KNOTS
+from .space import KINDS
 
 ONLY_PROBLEM: ProblemName = "robustness"
 """The problem of a file without `problems`; its keys are then keys of the file."""
@@ -45,7 +46,7 @@ ENDS: dict[str, Any] = {"type": "array", "items": {"type": "number"}, "minItems"
 
 
 def with_stand_ins(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the table of a file that describes a program, and may have no campaign yet, as that of a campaign.
+    """Return the table of a file that describes a system, and may have no campaign yet, as that of a campaign.
 
     It can be simulated and checked; `perfbound init` makes a campaign of it.
     """
@@ -60,9 +61,10 @@ def with_stand_ins(table: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def is_description(table: Mapping[str, Any]) -> bool:
-    """Whether a file describes a program and lists no problems; those of a campaign may be at its top."""
+    """Whether a file describes a system and lists no problems; those of a campaign may be at its top."""
     system = table.get("system")
-    return leaves_out_problems(table) and isinstance(system, Mapping) and "program" in system
+    described = isinstance(system, Mapping) and any(kind.described and key in system for key, kind in KINDS.items())
+    return leaves_out_problems(table) and described
 
 
 def completed(table: Mapping[str, Any], stem: str = "") -> dict[str, Any]:

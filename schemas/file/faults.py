@@ -48,6 +48,7 @@ _WORDS = {
     ("space", "scenarios"): "a list of starting conditions, or the name of a CSV file",
     ("space", "table"): f"the name of a CSV file with 1 to {MAX_TABLE:,} rows, or its rows",
     ("system", "program"): 'a list of texts: ["./NAME", "ARGUMENT"]',
+    ("system", "policy"): "FILE.py:NAME, or FILE.zip:PPO, a model of Stable-Baselines3 and its algorithm",
     ("system", "files"): 'a list of paths: ["policy.pt", "tables/*.csv"]',
     ("system", "columns"): 'a table with the unit of every column in quotes: { distance = "m" }',
     ("system", "noisy"): "true, false, or a list of variants",

@@ -31,7 +31,7 @@ MAX_STARTS_FILE = 64 * 2**20
 
 
 def load_description(path: Path) -> CampaignConfig:
-    """Read a campaign file for its system; that of a program needs `[system]` and `[space]` alone.
+    """Read a campaign file for its system; one that it describes needs `[system]` and `[space]` alone.
 
     Raises:
         CampaignError: as `load_campaign`.
@@ -130,7 +130,7 @@ def validated(found: dict[str, Any], table: Mapping[str, Any], source: str) -> C
         lines = faults(error, found, one_problem) if listed is None else [listed]
         if not OF_PROBLEM & table.keys() and is_description(table):
             first, *others = lines
-            hint = f"; this file describes a program alone: perfbound init {shlex.quote(source)} makes a campaign of it"
+            hint = f"; this file describes a system alone: perfbound init {shlex.quote(source)} makes a campaign of it"
             # What a campaign needs in addition is what that command adds.
             lines = [first + hint, *(line for line in others if ": this key is required" not in line)]
         elif any(line.endswith("rkhs_norm: this key is required: a number > 0") for line in lines):

@@ -1,7 +1,9 @@
 """The system of a campaign file, and its space: all starting conditions of the claim."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from types import MappingProxyType
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
@@ -63,7 +65,8 @@ class SystemChoice(Model, extra="allow"):
         default=None,
         exclude_if=lambda value: value is None,
         description="of a function or a program: a rollout that ends before the horizon holds its last state,"
-        " or (`fail`) also violates the specification; without this key it is refused",
+        " or (`fail`) also violates the specification; without this key it is refused, and an environment is stepped on "
+        "beyond the end of its episode",
     )
     program: tuple[str, ...] | None = Field(
         default=None,
@@ -71,16 +74,38 @@ class SystemChoice(Model, extra="allow"):
         max_length=100,
         description="a program and its arguments; it starts in the folder of the campaign file",
     )
+    gymnasium: str | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        min_length=1,
+        max_length=1000,
+        description='an environment as `gymnasium.make` takes it, "CartPole-v1" or "MODULE:NAME-v0"; options of '
+        "`[system]` are its arguments",
+    )
+    policy: str | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        pattern=r"^[^:]+\.(py|zip):[A-Za-z_][A-Za-z0-9_]*$",
+        description="of an environment, required: FILE.py:NAME, a function or class that returns an action for an "
+        "observation, or FILE.zip:PPO, a model of Stable-Baselines3 and its algorithm",
+    )
     columns: dict[str, str] | None = Field(
         default=None,
         min_length=1,
-        description="of a program, required: columns of its samples in their order, with units, without `t`",
+        description="of a program, required: columns of its samples in their order, with units, without `t`; of an "
+        "environment: those that are recorded, by default every number of the observation, `reward` and numbers of "
+        "`info`",
     )
     step: float | None = Field(
-        default=None, gt=0, description="of a program: s between two samples; without it their first column is `t`"
+        default=None,
+        gt=0,
+        description="of a program: s between two samples; without it their first column is `t`; of an environment: s "
+        "of a step, where it does not say so itself",
     )
     noisy: bool | tuple[Variant, ...] | None = Field(
-        default=None, description="of a program: the rollouts, or those of these variants, depend on the seed"
+        default=None,
+        description="of a program: the rollouts, or those of these variants, depend on the seed; of an environment "
+        "by default true",
     )
     residual: bool | None = Field(
         default=None,
@@ -116,32 +141,37 @@ class SystemChoice(Model, extra="allow"):
 
     @model_validator(mode="after")
     def _one(self) -> "SystemChoice":
-        if [self.name != "", self.python is not None, self.program is not None].count(True) != 1:
-            raise ValueError(
-                'name: give one of name = "...", an installed system, python = "FILE.py:NAME", a function in a file, '
-                'and program = ["./NAME"]'
-            )
-        given = [key for key in SAID_OF_SYSTEMS if getattr(self, key) is not None]
-        if self.name and given:
-            raise ValueError(f"{given[0]}: an installed system says this itself, in its class: {given[0]} = ...")
-        if self.program is not None and self.columns is None:
-            raise ValueError('columns: required by a program: its columns with their units, { distance = "m" }')
-        given = [key for key in PROGRAM_KEYS if getattr(self, key) is not None]
-        if self.program is None and given:
-            raise ValueError(f"{given[0]}: this key is for a program alone")
+        kinds = [key for key in KINDS if getattr(self, key)]
+        if len(kinds) != 1:
+            forms = [each.form for each in KINDS.values()]
+            raise ValueError(f"name: give one of {', '.join(forms[:-1])}, and {forms[-1]}")
+        kind = KINDS[kinds[0]]
+        for key in dict.fromkeys(key for each in KINDS.values() for key in each.keys):
+            if getattr(self, key) is None or key in kind.keys:
+                continue
+            if self.name and key in KINDS["python"].keys:
+                raise ValueError(f"{key}: an installed system says this itself, in its class: {key} = ...")
+            raise ValueError(f"{key}: this key is for {_kinds_with(key)} alone")
+        if missing := next((key for key in kind.required if getattr(self, key) is None), None):
+            raise ValueError(f"{missing}: required by {kind.words}: {kind.required[missing]}")
         return self
 
     @property
-    def kind(self) -> Literal["name", "python", "program"]:
-        """The key that names the system."""
-        return "name" if self.name else "python" if self.python is not None else "program"
+    def kind(self) -> str:
+        """The key that names the system, one of `KINDS`."""
+        return next(key for key in KINDS if getattr(self, key))
+
+    @property
+    def is_described(self) -> bool:
+        """Whether the campaign file describes the system: its parameters are those of `[space]`."""
+        return KINDS[self.kind].described
 
     def reference(self, file: Path) -> str:
         """Return the system as a worker finds it: its name, FILE.py:NAME, or the campaign file `file`.
 
-        That describes a program, and says what the function in a file does not say itself.
+        That describes all other systems, and says what the function in a file does not say itself.
         """
-        if self.python is not None and all(getattr(self, key) is None for key in SAID_OF_SYSTEMS):
+        if self.python is not None and all(getattr(self, key) is None for key in KINDS["python"].keys):
             return str(file.absolute().parent / self.python)
         return self.name or str(file.absolute())
 
@@ -151,8 +181,20 @@ class SystemChoice(Model, extra="allow"):
         return dict(self.__pydantic_extra__ or {})
 
 
-SAID_OF_SYSTEMS = ("files", "stamps", "after_end")
-"""Keys of `[system]` that say more of a function in a file, or of a program."""
+class Kind(NamedTuple):
+    """A way to name a system in `[system]`."""
+
+    words: str
+    form: str
+    keys: tuple[str, ...] = ()
+    """The further keys that it takes."""
+    required: Mapping[str, str] = MappingProxyType({})
+    """Those that it cannot do without, and what they are."""
+    described: bool = False
+    """Whether the file describes it, so that `[space]` has its parameters."""
+
+
+FUNCTION_KEYS = ("files", "stamps", "after_end")
 PROGRAM_KEYS = (
     "columns",
     "step",
@@ -166,7 +208,32 @@ PROGRAM_KEYS = (
     "environment",
     "empty_scratch",
 )
-"""Keys of `[system]` that describe a program."""
+ENVIRONMENT_KEYS = ("policy", "columns", "step", "noisy", "after_end", "files")
+KINDS: Mapping[str, Kind] = MappingProxyType(
+    {
+        "name": Kind("an installed system", 'name = "...", an installed system'),
+        "python": Kind("a function", 'python = "FILE.py:NAME", a function in a file', FUNCTION_KEYS),
+        "program": Kind(
+            "a program",
+            'program = ["./NAME"]',
+            (*FUNCTION_KEYS, *PROGRAM_KEYS),
+            {"columns": 'its columns with their units, { distance = "m" }'},
+            described=True,
+        ),
+        "gymnasium": Kind(
+            "an environment of Gymnasium",
+            'gymnasium = "CartPole-v1"',
+            ENVIRONMENT_KEYS,
+            {"policy": '"policy.py:act", a function that returns an action for an observation'},
+            described=True,
+        ),
+    }
+)
+"""By the key of `[system]` that names the system."""
+
+
+def _kinds_with(key: str) -> str:
+    return " and ".join(each.words for each in KINDS.values() if key in each.keys)
 
 
 class Range(Distributed):

@@ -1,12 +1,15 @@
 """Systems in files: `FILE.py:NAME` or a program, and the fingerprint of the code behind them."""
 
+import importlib
 import importlib.util
 import sys
 import sysconfig
 import traceback
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 from ...schemas.errors import DefinitionError
 from ...schemas.file.reader import load_description
@@ -34,12 +37,17 @@ def load_reference(reference: str) -> SystemUnderTest:
         return load_file(reference)
     path = Path(reference)
     config = load_description(path)
-    if config.system.program is not None:
-        program = load_program(path, config)
-        return WithSpec(program, program.declared)
-    if config.system.python is None:
-        raise DefinitionError(f"{path}: its system {config.system.name!r} is installed, and needs no reference")
-    return load_file(str(path.absolute().parent / config.system.python), config.system, path)
+    match config.system.kind:
+        case "program":
+            program = load_program(path, config)
+            return WithSpec(program, program.declared)
+        case "gymnasium":
+            from ..adapters.environment import load_environment  # noqa: PLC0415  (needs an extra)
+
+            return load_environment(path, config)
+        case "python":
+            return load_file(str(path.absolute().parent / (config.system.python or "")), config.system, path)
+    raise DefinitionError(f"{path}: its system {config.system.name!r} is installed, and needs no reference")
 
 
 def load_file(reference: str, said: SystemChoice | None = None, campaign: Path | None = None) -> SystemUnderTest:
@@ -54,11 +62,8 @@ def load_file(reference: str, said: SystemChoice | None = None, campaign: Path |
     """
     text, _, name = reference.rpartition(":")
     path = Path(text).absolute()
-    # Anew, also what another system of this folder has imported: the code of each is what it imports itself.
-    for known in list(_beside(path.parent)):
-        del sys.modules[known]
-    module = _imported(path)
-    found = getattr(module, name, None)
+    code = loaded_code(path)
+    found = getattr(code.module, name, None)
     if found is None:
         raise DefinitionError(f"{path}: there is no {name!r} in it; name a function under @perfbound.system")
     if isinstance(found, type) and hasattr(found, "rollout"):  # a class like that of an installed system
@@ -66,19 +71,15 @@ def load_file(reference: str, said: SystemChoice | None = None, campaign: Path |
     if not (hasattr(found, "spec") and hasattr(found, "rollout")):
         raise DefinitionError(f"{path}: {name} is {type(found).__name__} and no system; put @perfbound.system above it")
     system: SystemUnderTest = found
-    # What it has imported, by whatever way, and what its functions will import.
-    beside = _beside(path.parent)
-    sources = sources_of(path) | set(beside.values())
-    bound = (each for own in (module, *map(sys.modules.get, beside)) for each in vars(own).values())
-    # Also what importlib has imported by a computed name.
-    modules = {each.__name__ for each in bound if isinstance(each, ModuleType) and each.__name__ not in beside}
-    versions = versions_of(sources, modules) | system.spec.versions
     # A class need not derive from the port.
     declared = _declared(getattr(system, "files", ()), path, path.parent) | (
         {} if campaign is None or said is None else _declared(said.files or (), campaign.absolute(), path.parent)
     )
-    found_files = DeclaredFiles({name: each for name, each in declared.items() if each not in sources})
-    keys: dict[str, Any] = {"code": code_of_files(sources, path.parent) | found_files.digests, "versions": versions}
+    found_files = DeclaredFiles({name: each for name, each in declared.items() if each not in code.sources})
+    keys: dict[str, Any] = {
+        "code": code.digests | found_files.digests,
+        "versions": code.versions | system.spec.versions,
+    }
     if said is not None:
         try:
             spec = system.spec.with_said(said.stamps, said.after_end)
@@ -86,6 +87,52 @@ def load_file(reference: str, said: SystemChoice | None = None, campaign: Path |
             raise DefinitionError(f"{campaign}: system.{error}") from None
         keys |= {key: getattr(spec, key) for key in ("stamps", "after_end", "columns")}
     return WithSpec(system, found_files, **keys)
+
+
+class LoadedCode(NamedTuple):
+    """A Python file that was imported, and what it consists of."""
+
+    module: ModuleType
+    sources: Collection[Path]
+    digests: dict[str, str]
+    """Name -> sha256 of the file and of what it imports beside it."""
+    versions: dict[str, str]
+    """Of the packages that it imports."""
+
+
+def loaded_code(path: Path) -> LoadedCode:
+    """Import a Python file as the code of a system.
+
+    Raises:
+        DefinitionError: it is not there, or cannot be imported.
+
+    """
+    # Anew, also what another system of this folder has imported: the code of each is what it imports itself.
+    for known in list(_beside(path.parent)):
+        del sys.modules[known]
+    module = _imported(path)
+    # What it has imported, by whatever way, and what its functions will import.
+    beside = _beside(path.parent)
+    sources = sources_of(path) | set(beside.values())
+    bound = (each for own in (module, *map(sys.modules.get, beside)) for each in vars(own).values())
+    # Also what importlib has imported by a computed name.
+    modules = {each.__name__ for each in bound if isinstance(each, ModuleType) and each.__name__ not in beside}
+    return LoadedCode(module, sources, code_of_files(sources, path.parent), versions_of(sources, modules))
+
+
+def import_beside(name: str, folder: Path) -> None:
+    """Import a module of a folder anew, if it is there, in place of one of its name from elsewhere."""
+    path = folder.joinpath(*name.split("."))
+    if path.with_suffix(".py").is_file() or (path / "__init__.py").is_file():
+        sys.modules.pop(name, None)
+        with _in_front(str(folder)):
+            importlib.import_module(name)
+
+
+def code_beside(folder: Path) -> dict[str, str]:
+    """Return name -> sha256 of what has been imported from a folder and below, with what that imports there."""
+    sources = {each for file in _beside(folder).values() for each in sources_of(file)}
+    return code_of_files(sources, folder)
 
 
 def _declared(files: object, place: Path, base: Path) -> dict[str, Path]:
@@ -122,12 +169,10 @@ def _imported(path: Path) -> ModuleType:
         raise DefinitionError(f"{path}: there is no such Python file")
     module = importlib.util.module_from_spec(spec)
     sys.modules[MODULE] = module
-    folder = str(path.parent)
-    # In front while the file is imported, as for a script; afterwards behind all installed ones, for late imports.
-    sys.path.insert(0, folder)
     _loading.append(path)
     try:
-        spec.loader.exec_module(module)
+        with _in_front(str(path.parent)):
+            spec.loader.exec_module(module)
     except DefinitionError as error:
         raise DefinitionError(f"{path}: {error}") from None
     except SyntaxError as error:
@@ -142,6 +187,15 @@ def _imported(path: Path) -> ModuleType:
         raise DefinitionError(f"{where}: {type(error).__name__}: {error}") from None
     finally:
         _loading.pop()
+    return module
+
+
+@contextmanager
+def _in_front(folder: str) -> Iterator[None]:
+    """Look into a folder first while a file of it is imported, as for a script; and later last, for late imports."""
+    sys.path.insert(0, folder)
+    try:
+        yield
+    finally:
         sys.path.remove(folder)
         sys.path.append(folder)
-    return module

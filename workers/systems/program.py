@@ -8,13 +8,12 @@ It may stay for the next line, or end.
 import contextlib
 import json
 import os
-import re
 import secrets
 import shlex
 import shutil
 import stat
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +27,12 @@ from ...schemas.link.secret import VARIABLE
 from ...schemas.number_text import number_in
 from ...schemas.ranges import MAX_FILE_BYTES, SEED_BITS
 from ...schemas.real_numbers import real_array
-from ...schemas.system import Option, OptionValue, Parameter, SystemSpec, Variant, timed_columns
+from ...schemas.system import OptionValue, SystemSpec, Variant, timed_columns
 from ...schemas.trajectory.input_signal import InputSignal
 from ...schemas.trajectory.trajectory import Trajectory, Visual
 from .base import Progress, SystemUnderTest, checked_disturbances, checked_options
 from .declared import NO_FILES, DeclaredFiles, declared_files
+from .described import name_of, option_of, space_parameters
 from .place import Worker
 from .running import Command, EndedError, RunningProgram
 
@@ -314,11 +314,11 @@ def load_program(file: Path, config: CampaignConfig) -> ProgramSystem:
     noisy = (variants if chance else ()) if isinstance(chance, bool) else chance
     try:
         spec = SystemSpec(
-            name=_name(next(reversed(named))),
+            name=name_of(next(reversed(named)), "program"),
             doc=f"the program {shlex.join(choice.program)}",
-            parameters=tuple(_space_parameters(config)),
+            parameters=tuple(space_parameters(config)),
             columns=timed_columns(choice.columns, choice.after_end),
-            options=tuple(_option(name, value) for name, value in sorted(choice.options.items())),
+            options=tuple(option_of(name, value) for name, value in sorted(choice.options.items())),
             variants=variants,
             noisy=tuple(each for each in variants if each in noisy),
             max_horizon=MAX_HORIZON,
@@ -334,16 +334,6 @@ def load_program(file: Path, config: CampaignConfig) -> ProgramSystem:
     except DefinitionError as error:
         raise DefinitionError(f"{file}: system: {error}") from None
     return ProgramSystem(spec, choice, folder, files)
-
-
-def _space_parameters(config: CampaignConfig) -> Iterator[Parameter]:
-    """Yield the parameters of `[space]`; those of a list of starts are x1, x2, ..., each with its range."""
-    if not isinstance(config.space, dict):
-        for k, values in enumerate(zip(*config.space.rows, strict=True)):
-            yield Parameter(name=f"x{k + 1}", low=min(values), high=max(values))
-        return
-    for name, box in config.space.items():
-        yield Parameter(name=name, unit=box.unit, low=box.low, high=box.high, signal=box.signal is not None)
 
 
 def _start_value(value: Any) -> Any:
@@ -365,16 +355,6 @@ def _remove_stale() -> None:
         if number.isdigit() and not Path("/proc", number).exists():
             with contextlib.suppress(OSError):  # of another user
                 file.unlink()
-
-
-def _option(name: str, value: OptionValue) -> Option:
-    return Option(name=name, default=value, choices=(value,) if isinstance(value, str) else ())
-
-
-def _name(path: str) -> str:
-    """Return the name of a system from that of its file: `./Pendulum_2.sh` is pendulum-2."""
-    found = re.sub("[^a-z0-9]+", "-", Path(path).stem.lower()).strip("-")
-    return found if re.match("[a-z]", found) else f"program-{found}".strip("-")
 
 
 def _named_files(command: Sequence[str], folder: Path, where: str) -> dict[str, Path]:

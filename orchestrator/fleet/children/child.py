@@ -196,6 +196,9 @@ def installed_systems() -> dict[str, SystemSpec | str]:
         raise PerfboundError(f"the installed systems cannot be listed: {reason}; reinstall perfbound") from None
 
 
+OTHER_KEYS = ("space: ", "system.")
+
+
 def system_spec(reference: str, where: str) -> SystemSpec:
     """Return one system: an installed one, `FILE.py:NAME`, or that of a campaign file.
 
@@ -211,14 +214,16 @@ def system_spec(reference: str, where: str) -> SystemSpec:
             return SystemSpec.model_validate_json(ask("spec", name))
         except PerfboundError as error:
             # The worker names the file, and the key that `where` may end with.
-            key = f"{where.rpartition(': ')[2]}: "
-            texts = [line.removeprefix(f"{name}: ").removeprefix(key) for line in error.lines]
-            raise CampaignError(*(f"{where}: {text}" for text in texts)) from None
-    found = installed_systems()
-    if name not in found:
-        near = meant(name, found)
-        allowed = ", ".join(sorted(found))
+            file, _, key = where.rpartition(": ")
+            texts = [line.removeprefix(f"{name}: ").removeprefix(f"{key}: ") for line in error.lines]
+            # Another key of the file may be at fault.
+            found = [f"{file or name if text.startswith(OTHER_KEYS) else where}: {text}" for text in texts]
+            raise CampaignError(*found) from None
+    known = installed_systems()
+    if name not in known:
+        near = meant(name, known)
+        allowed = ", ".join(sorted(known))
         raise CampaignError(f"{where}: {name!r} is not an installed system; {near}allowed are {allowed}")
-    if isinstance(spec := found[name], str):
+    if isinstance(spec := known[name], str):
         raise CampaignError(f"{where}: {spec}")
     return spec

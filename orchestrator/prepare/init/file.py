@@ -76,10 +76,9 @@ def _space(campaign: FirstCampaign, inline: bool) -> Iterator[str]:
     yield from toml_comment(f"All starting conditions of the claim, here the whole range of the system{where}.")
     for each in shapes.values():
         yield from toml_comment(f"{each.name} is an input over time through {each.knots} knots over the horizon.")
-    # A program has the units that its file gives; any other system knows its own.
+    # A system that the file describes has the units that it gives; any other one knows its own.
     entries = {
-        each.name: _range_value(each, shapes.get(each.name), unit=campaign.system.kind == "program")
-        for each in parameters
+        each.name: _range_value(each, shapes.get(each.name), unit=campaign.system.is_described) for each in parameters
     }
     yield from _table_lines("space", entries.items(), inline)
     fixed = [each for each in parameters if each.name not in shapes]

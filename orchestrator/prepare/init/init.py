@@ -359,10 +359,10 @@ def _system_choice(reference: str, out: Path) -> SystemChoice:
     """
     file = Path(reference)
     campaign, found = named_campaign(reference), resolved(reference)
-    if campaign is not None and campaign.system.program is not None:
+    if campaign is not None and campaign.system.is_described:
         if out.absolute().parent != file.absolute().parent:
             raise PerfboundError(
-                f"{out}: a program belongs to the folder of its campaign file; choose --out beside {file}"
+                f"{out}: its system belongs to the folder of the file that describes it; choose --out beside {file}"
             )
         return campaign.system
     if campaign is not None:

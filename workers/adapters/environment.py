@@ -1,0 +1,400 @@
+"""Environments of Gymnasium as systems under test: one step of the environment is one sample.
+
+| symbol | name      | meaning                                                        | shape | unit      |
+|--------|-----------|----------------------------------------------------------------|-------|-----------|
+| x      | `start`   | the parameters, by their names                                 |       | of each   |
+| h      | `step`    | time of one step of the environment                            | ()    | s         |
+|        | `row`     | the recorded numbers of one sample: observation, reward, info  | (n,)  | of each   |
+
+A parameter is set where its name is found: an argument of the function `reset` beside the policy; else an attribute of
+the environment, before and after its reset; else a key of its `config`, or an option, for its reset.
+"""
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import cached_property
+from numbers import Real
+from pathlib import Path
+from typing import Any, SupportsFloat, TypeGuard
+
+import numpy as np
+
+from ...schemas.errors import DefinitionError, SimulationError, meant
+from ...schemas.file.config import CampaignConfig
+from ...schemas.system import ENDED, AfterEnd, OptionValue, SystemSpec, Variant, timed_columns
+from ...schemas.trajectory.trajectory import Trajectory, Visual
+from ..faults import NOT_OF_SYSTEMS, fault_text
+from ..systems.base import Floats, Progress, SystemUnderTest, checked_options
+from ..systems.declared import DeclaredFiles, WithSpec, declared_files
+from ..systems.described import name_of, option_of, space_parameters
+from ..systems.files import code_beside, import_beside
+from ..systems.fingerprint import versions_of
+from .policy import Policy, load_policy
+
+MAX_STEPS = 10_000_000
+SEED_BITS = 32
+"""Of a seed: environments in C take no larger ones."""
+TRIED = 20
+"""Steps in which a parameter that is an option has to show an effect."""
+
+
+class Environment:
+    """An environment that was made once, with its policy: it runs episodes."""
+
+    def __init__(self, make: Callable[[], Any], policy: Policy, where: str) -> None:
+        self._make, self._policy, self._where = make, policy, where
+        self._setters: dict[str, str] = {}
+
+    @cached_property
+    def env(self) -> Any:
+        """The environment."""
+        return self._make()
+
+    def find(self, names: Sequence[str]) -> None:
+        """Find where each parameter is set.
+
+        Raises:
+            DefinitionError: an attribute is no number.
+
+        """
+        base = self.env.unwrapped
+        for name in names:
+            if self._policy.start is not None:
+                self._setters[name] = "start"
+            elif hasattr(base, name):
+                if not _is_number(value := getattr(base, name)):
+                    raise DefinitionError(
+                        f"{self._where}: space: {name} is an attribute of the environment, and {type(value).__name__} "
+                        f"and no number; {self._write_reset(name)}"
+                    )
+                self._setters[name] = "attribute"
+            elif name in _config(base):
+                self._setters[name] = "config"
+            else:
+                self._setters[name] = "option"
+
+    @property
+    def whole(self) -> Iterator[str]:
+        """Yield the names of the parameters that are set as integers."""
+        base = self.env.unwrapped
+        for name, kind in self._setters.items():
+            before = getattr(base, name) if kind == "attribute" else _config(base).get(name)
+            if isinstance(before, int | np.integer) and not isinstance(before, bool):
+                yield name
+
+    def check_effect(self, lows: Mapping[str, float], highs: Mapping[str, float], step: float) -> None:
+        """Refuse an option that changes nothing, which is one that the environment does not read.
+
+        Raises:
+            DefinitionError: with its name.
+
+        """
+        options = [name for name, kind in self._setters.items() if kind == "option"]
+        before = self.first_steps(lows, step) if options else np.empty(0)
+        for name in options:
+            if np.array_equal(before, self.first_steps({**lows, name: highs[name]}, step), equal_nan=True):
+                raise DefinitionError(
+                    f"{self._where}: space: the environment has no attribute {name}, and reset(options={{{name!r}: "
+                    f"...}}) changes nothing in {TRIED} steps; {self._write_reset(name)}"
+                )
+
+    def first_steps(self, start: Mapping[str, float], step: float) -> Floats:
+        """Return the observations and rewards of the first steps, with one seed."""
+        rows = [
+            np.append(np.array(list(_numbers(self.env.observation_space, observation))), reward)
+            for observation, reward, *_ in self.episode(start, 0, TRIED * step, step)
+        ]
+        return np.array(rows)
+
+    def episode(
+        self, start: Mapping[str, float], seed: int, horizon: float, step: float
+    ) -> Iterator[tuple[Any, float, bool, Mapping[str, Any]]]:
+        """Yield observation, reward, whether the episode has ended, and info: at 0 and after every step."""
+        observation, info = self._begun(start, seed)
+        if self._policy.reset is not None:
+            self._policy.reset()
+        ended = False
+        yield observation, 0.0, ended, info
+        # A last step that a rounding has cut off is one.
+        for _ in range(int(horizon / step * (1.0 + 1e-12) + 1e-9)):
+            action = self._policy.act(observation)
+            try:
+                observation, reward, terminated, _truncated, info = self.env.step(action)
+            except NOT_OF_SYSTEMS:
+                raise
+            except Exception as error:
+                if not ended:
+                    raise
+                raise SimulationError(
+                    f"after the end of its episode the environment cannot be stepped on: {fault_text(error)}; say what "
+                    'an early end means: after_end = "hold" or "fail"'
+                ) from None
+            ended = ended or bool(terminated)
+            yield observation, float(reward), ended, info
+
+    def _begun(self, start: Mapping[str, float], seed: int) -> tuple[Any, Mapping[str, Any]]:
+        env, base = self.env, self.env.unwrapped
+        of = {kind: {n: v for n, v in start.items() if self._setters[n] == kind} for kind in self._setters.values()}
+        if self._policy.start is not None:
+            found = self._policy.start(env, seed=seed, **start)
+            if not (isinstance(found, tuple) and len(found) == 2):
+                raise SimulationError(
+                    f"{self._policy.path}: reset returns {type(found).__name__}, not observation and info, as "
+                    "env.reset(seed=seed) does"
+                )
+            return found
+        options: dict[str, Any] = dict(of.get("option", {}))
+        if config := of.get("config"):
+            known = _config(base)
+            options["config"] = {name: _like(known[name], value) for name, value in config.items()}
+        attributes = {name: _like(getattr(base, name), value) for name, value in of.get("attribute", {}).items()}
+        # Before the reset, too: what it observes may follow from them, and is none of the rollout before.
+        for name, value in attributes.items():
+            setattr(base, name, value)
+        observation, info = env.reset(seed=seed, options=options or None)
+        for name, value in attributes.items():
+            setattr(base, name, value)
+        return observation, info
+
+    def _write_reset(self, name: str) -> str:
+        return f"write a function reset(env, *, seed, {name}) in {self._policy.path.name} that starts an episode"
+
+
+class EnvironmentSystem(SystemUnderTest):
+    """An environment with its policy."""
+
+    def __init__(self, spec: SystemSpec, environment: Environment, step: float, recorded: Sequence[str]) -> None:
+        self._spec, self._environment, self._step = spec, environment, step
+        self._recorded = recorded
+        """The name in the environment of each own column, without the time."""
+
+    @property
+    def spec(self) -> SystemSpec:
+        """The specification that follows from `[system]` and `[space]`."""
+        return self._spec
+
+    def rollout(
+        self,
+        x: Sequence[Any],
+        *,
+        variant: Variant,
+        seed: int,
+        horizon: float,
+        options: Mapping[str, OptionValue],
+        progress: Progress,
+    ) -> Trajectory:
+        """Run an episode.
+
+        Raises:
+            SimulationError: an argument is outside the spec, or the environment fails.
+            Cancelled: raised by `progress`.
+
+        """
+        checked_options(self._spec, x, variant=variant, horizon=horizon, options=options)
+        names = (each.name for each in self._spec.parameters)
+        episode = self._environment.episode(dict(zip(names, map(float, x), strict=True)), seed, horizon, self._step)
+        if horizon < self._step:
+            raise SimulationError(
+                f"a horizon of {horizon:g} s is less than a step of {self._spec.name}, {self._step:g} s"
+            )
+        rows = list[list[Any]]()
+        for number, (observation, reward, ended, info) in enumerate(episode):
+            rows.append(self._row(number, observation, reward, ended, info))
+            if ended and self._spec.after_end is not None:
+                break
+            progress(number)
+        # What only a step gives is at 0 what it is after the first one.
+        rows[0] = [after if here is None else here for here, after in zip(rows[0], rows[1], strict=True)]
+        return Trajectory(self._spec.own_columns, np.array(rows, dtype=np.float64))
+
+    def visual(self, trajectory: Trajectory) -> Visual:  # noqa: ARG002  (the same for all)
+        """Return a plot of every column."""
+        return Visual(plots=True)
+
+    def _row(self, number: int, observation: Any, reward: float, ended: bool, info: Mapping[str, Any]) -> list[Any]:
+        space = self._environment.env.observation_space
+        known: dict[str, Any] = dict(zip(_names(space), _numbers(space, observation), strict=True))
+        known |= {"reward": reward, ENDED.name: float(ended)}
+        row: list[Any] = [number * self._step]
+        for name in self._recorded:
+            value = known.get(name, info.get(name))
+            if value is None and number:
+                raise SimulationError(f"{self._spec.name}: info has no number {name!r} after step {number}")
+            row.append(None if value is None else float(value))
+        return row
+
+
+def load_environment(file: Path, config: CampaignConfig) -> SystemUnderTest:
+    """Return the environment of a campaign, read from `file`.
+
+    Raises:
+        DefinitionError: Gymnasium or the environment is not installed, it cannot be made, a name in the file is none,
+            or nothing says how long a step is.
+
+    """
+    choice, folder = config.system, file.absolute().parent
+    assert choice.gymnasium is not None, "of an environment"
+    assert choice.policy is not None, "required by an environment"
+    try:
+        import gymnasium  # noqa: PLC0415  (an extra)
+    except ImportError:
+        raise DefinitionError(f"{file}: system.gymnasium: pip install 'perfbound[gymnasium]'") from None
+    # It says at every rollout that an episode has ended, which is what `ended` is for.
+    gymnasium.logger.min_level = gymnasium.logger.ERROR
+    where, environment_id = str(file), choice.gymnasium
+    policy = load_policy(choice.policy, folder)
+    given = {name: _argument(value) for name, value in choice.options.items()}
+    environment = Environment(lambda: _made(environment_id, given, folder, where), policy, where)
+    parameters = tuple(space_parameters(config))
+    environment.find([each.name for each in parameters])
+    _check_whole(environment.whole, config, where)
+    base = environment.env.unwrapped
+    step = choice.step or _step_of(base)
+    if step is None:
+        raise DefinitionError(
+            f"{where}: system.step: {environment_id} does not say how long a step is; give its s, or step = 1.0 to "
+            "count steps"
+        )
+    lows, highs = ({each.name: getattr(each, end) for each in parameters} for end in ("low", "high"))
+    try:
+        environment.check_effect(lows, highs, step)
+        columns = _columns(environment, lows, step, choice.columns, where)
+    except DefinitionError:
+        raise
+    except NOT_OF_SYSTEMS:
+        raise
+    except Exception as error:  # noqa: BLE001  (any: untrusted code)
+        raise DefinitionError(f"{where}: {environment_id} with {choice.policy}: {fault_text(error)}") from None
+    try:
+        files = DeclaredFiles(
+            {each: path for each, path in declared_files(choice.files or (), folder).items() if path != policy.path}
+            | ({policy.path.name: policy.path} if policy.path.suffix == ".zip" else {})
+        )
+        spec = SystemSpec(
+            name=name_of(re.sub(".*[:/]", "", environment_id), "environment"),
+            doc=f"{environment_id} of Gymnasium, with {choice.policy}",
+            parameters=parameters,
+            columns=_timed({name: unit for name, (_, unit) in columns.items()}, choice.after_end),
+            options=tuple(option_of(name, value) for name, value in sorted(choice.options.items())),
+            variants=("nominal",),
+            noisy=() if choice.noisy in {False, ()} else ("nominal",),
+            max_horizon=step * MAX_STEPS,
+            default_horizon=config.horizon,
+            seed_bits=SEED_BITS,
+            code=policy.digests | code_beside(folder) | files.digests,
+            versions=policy.versions | versions_of((), {"gymnasium", type(base).__module__}),
+            after_end=choice.after_end,
+        )
+    except DefinitionError as error:
+        raise DefinitionError(f"{where}: system: {error}") from None
+    recorded = [name for name, _ in columns.values()]
+    system = EnvironmentSystem(spec, environment, step, recorded if choice.after_end else [*recorded, ENDED.name])
+    return WithSpec(system, files)
+
+
+def _timed(units: Mapping[str, str], after_end: AfterEnd | None) -> tuple[Any, ...]:
+    # Stepped on beyond the end of an episode, its last column is one of its own.
+    return timed_columns(units if after_end is not None else {**units, ENDED.name: ENDED.unit}, after_end)
+
+
+def _made(environment_id: str, given: Mapping[str, Any], folder: Path, where: str) -> Any:
+    import gymnasium  # noqa: PLC0415  (an extra)
+
+    try:
+        import_beside(environment_id.rpartition(":")[0], folder)
+        # Without its limit of steps, which the horizon is, and without checks that print.
+        return gymnasium.make(environment_id, max_episode_steps=-1, disable_env_checker=True, **given)
+    except NOT_OF_SYSTEMS:
+        raise
+    except Exception as error:  # noqa: BLE001  (any: untrusted code)
+        raise DefinitionError(f"{where}: system.gymnasium: {environment_id}: {fault_text(error)}") from None
+
+
+def _check_whole(names: Iterable[str], config: CampaignConfig, where: str) -> None:
+    """Refuse a range of numbers for an integer: each of them would stand for the nearest one."""
+    for name in names:
+        box = config.space[name] if isinstance(config.space, dict) else None
+        if box is None or all(each is not None and float(each).is_integer() for each in (box.low, box.step)):
+            continue
+        if box.choices is None or not all(each.is_integer() for each in box.choices):
+            raise DefinitionError(
+                f"{where}: space: {name} is an integer of the environment; write {name} = {{ low = {box.low:.0f}, "
+                f"high = {box.high:.0f}, step = 1 }}, or its `choices`"
+            )
+
+
+def _columns(
+    environment: Environment, start: Mapping[str, float], step: float, chosen: Mapping[str, str] | None, where: str
+) -> dict[str, tuple[str, str]]:
+    """Return the own columns by their names: what each is called in the environment, and its unit."""
+    *_, (_, _, _, info) = environment.episode(start, 0, step, step)
+    observed = list(_names(environment.env.observation_space))
+    scalars = [str(name) for name, value in info.items() if _is_number(value) or isinstance(value, bool | np.bool_)]
+    known = [*observed, "reward", *(name for name in scalars if re.fullmatch("[a-z][a-z0-9_]*", name))]
+    if chosen is None:
+        return {name: (name, "") for name in known}
+    own = [name for name in chosen if name not in known]
+    if own and len(own) != len(observed):
+        hint = meant(own[0], known)
+        raise DefinitionError(
+            f"{where}: system.columns: {hint}{own[0]!r} is none of {', '.join(known)}; other names are those of all "
+            f"{len(observed)} numbers of the observation, in their order"
+        )
+    names = dict(zip(own, observed, strict=False))
+    return {name: (names.get(name, name), unit) for name, unit in chosen.items()}
+
+
+def _names(space: Any, prefix: str = "") -> Iterator[str]:
+    """Yield the names of the numbers of an observation: obs_0, obs_1, ..., or of a dict by its keys."""
+    parts = getattr(space, "spaces", None)
+    if isinstance(parts, Mapping):
+        for key, part in parts.items():
+            yield from _names(part, f"{prefix}{re.sub('[^a-z0-9]+', '_', str(key).lower())}_")
+    elif parts is not None:
+        for k, part in enumerate(parts):
+            yield from _names(part, f"{prefix or 'obs_'}{k}_")
+    elif space.shape is None:
+        raise DefinitionError(f"an observation of {type(space).__name__} is no number")
+    else:
+        for k in range(int(np.prod(space.shape))):
+            yield f"{prefix or 'obs_'}{k}"
+
+
+def _numbers(space: Any, observation: Any) -> Iterator[float]:
+    """Yield the numbers of an observation, in the order of `_names`."""
+    parts = getattr(space, "spaces", None)
+    if isinstance(parts, Mapping):
+        for key, part in parts.items():
+            yield from _numbers(part, observation[key])
+    elif parts is not None:
+        for part, each in zip(parts, observation, strict=True):
+            yield from _numbers(part, each)
+    else:
+        yield from np.asarray(observation, dtype=np.float64).ravel().tolist()
+
+
+def _step_of(base: Any) -> float | None:
+    """Return the seconds of a step, where an environment says them."""
+    for name in ("dt", "tau"):
+        if _is_number(value := getattr(base, name, None)) and float(value) > 0.0:
+            return float(value)
+    frequency = _config(base).get("policy_frequency")
+    return 1.0 / float(frequency) if _is_number(frequency) and float(frequency) > 0.0 else None
+
+
+def _config(base: Any) -> Mapping[str, Any]:
+    found = getattr(base, "config", None)
+    return found if isinstance(found, Mapping) else {}
+
+
+def _is_number(value: object) -> TypeGuard[SupportsFloat]:
+    return isinstance(value, Real | np.number) and not isinstance(value, bool | np.bool_)
+
+
+def _like(before: object, value: float) -> float:
+    """Return a value as an integer where there was one."""
+    return round(value) if isinstance(before, int | np.integer) and not isinstance(before, bool) else value
+
+
+def _argument(value: OptionValue) -> Any:
+    return int(value) if isinstance(value, float) and value.is_integer() else value

@@ -1,0 +1,81 @@
+"""The policies of environments: a function or class in a file, or a model of Stable-Baselines3."""
+
+import inspect
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ...schemas.errors import DefinitionError
+from ..systems.files import loaded_code
+from ..systems.fingerprint import file_sha256
+
+ALGORITHMS = ("stable_baselines3", "sb3_contrib")
+"""Packages in which an algorithm is looked for."""
+
+Act = Callable[[Any], Any]
+
+
+class Policy(NamedTuple):
+    """What acts in an environment, and what its identity consists of."""
+
+    act: Act
+    """From an observation to an action."""
+    reset: Callable[[], object] | None
+    """Called before each rollout, of a policy with a memory."""
+    start: Callable[..., Any] | None
+    """The function `reset(env, *, seed, NAME, ...)` of its file, which starts an episode."""
+    path: Path
+    digests: dict[str, str]
+    versions: dict[str, str]
+
+
+def load_policy(reference: str, folder: Path) -> Policy:
+    """Return the policy FILE.py:NAME or FILE.zip:ALGORITHM, relative to `folder`.
+
+    Raises:
+        DefinitionError: it is not there, cannot be loaded, or cannot be called.
+
+    """
+    text, _, name = reference.rpartition(":")
+    path = folder / text
+    return _of_code(path, name) if path.suffix == ".py" else _of_model(path, text, name)
+
+
+def _of_code(path: Path, name: str) -> Policy:
+    code = loaded_code(path)
+    found = getattr(code.module, name, None)
+    if inspect.isclass(found):
+        found = found()
+    if not callable(found):
+        raise DefinitionError(f"{path}: there is no function {name!r} in it; write def {name}(observation): ...")
+    start = getattr(code.module, "reset", None)
+    return Policy(found, getattr(found, "reset", None), start, path, code.digests, code.versions)
+
+
+def _of_model(path: Path, text: str, name: str) -> Policy:
+    import importlib  # noqa: PLC0415  (few policies are models)
+    from importlib.metadata import version  # noqa: PLC0415  (as above)
+
+    if not path.is_file():
+        raise DefinitionError(f"{path}: there is no such model; save one with model.save({path.stem!r})")
+    for package in ALGORITHMS:
+        try:
+            algorithm = getattr(importlib.import_module(package), name, None)
+        except ImportError:
+            continue
+        if algorithm is not None:
+            break
+    else:
+        raise DefinitionError(
+            f"{path}: no algorithm {name!r} of {' or '.join(ALGORITHMS)} is installed here: pip install "
+            "stable-baselines3, and name the algorithm that made the model, such as PPO"
+        )
+    # On the CPU, and in one thread: a sum in another order has other last digits.
+    importlib.import_module("torch").set_num_threads(1)
+    model = algorithm.load(path, device="cpu")
+
+    def act(observation: Any) -> Any:
+        return model.predict(observation, deterministic=True)[0]
+
+    packages = (package.replace("_", "-"), "torch")
+    return Policy(act, None, None, path, {text: file_sha256(path)}, {each: version(each) for each in packages})
