@@ -211,7 +211,7 @@ def test_a_campaign_file_of_a_program_leads_to_another_one(started: Processes, f
     """With constants for another question; `perfbound init` pilots the program as it is described there."""
     init = ("perfbound", "init", folder / "pendulum.toml", "--specification", "always (abs(angle) <= 0.4)")
     refused = started.run(*init, "--out", tmp_path / "second.toml")
-    assert "a program belongs to the folder of its campaign file; choose --out beside " in refused.fault
+    assert "its system belongs to the folder of the file that describes it; choose --out beside " in refused.fault
     second = folder / "second.toml"
     written = started.run(*init, "--out", second)
     assert (written.code, written.err) == (0, "")
