@@ -124,8 +124,10 @@ def _imports(source: Path) -> tuple[tuple[int, str], ...]:
 def _distribution(name: str) -> tuple[str, str] | None:
     """Return the distribution of a top-level module, and its version; None for a module that is in none."""
     try:
-        return name, version(name)
+        # Under its own name, as `_required` has it: both spellings of one would be two packages.
+        found = distribution(name)
+        return found.metadata["Name"], found.version
     except PackageNotFoundError:
-        for found in packages_distributions().get(name, ()):  # as of `sklearn`; takes a while
-            return found, version(found)
+        for other in packages_distributions().get(name, ()):  # as of `sklearn`; takes a while
+            return other, version(other)
     return None
