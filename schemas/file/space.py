@@ -65,7 +65,7 @@ class SystemChoice(Model, extra="allow"):
         default=None,
         exclude_if=lambda value: value is None,
         description="of a function or a program: a rollout that ends before the horizon holds its last state,"
-        " or (`fail`) also violates the specification; without this key it is refused, and an environment is stepped on "
+        " or (`fail`) also violates the specification; without this key it is refused, and an environment stepped on "
         "beyond the end of its episode",
     )
     program: tuple[str, ...] | None = Field(

@@ -52,7 +52,4 @@ def test_check_system_finds_nothing_and_init_makes_a_campaign_of_a_description(s
     assert made.code == 0, made
     text = (started.folder / "made.toml").read_text()
     assert 'system.policy = "policy.py:act"' in text
-    assert started.run("perfbound", "run", started.folder / "made.toml", "--out", started.folder / "made").code in {
-        0,
-        1,
-    }
+    assert started.run("perfbound", "run", started.folder / "made.toml", "--out", started.folder / "made").code == 0
