@@ -9,7 +9,23 @@ import click
 
 from ...schemas.link.secret import WEB_VARIABLE
 
-RUN_DIRECTORY = click.Path(path_type=Path, file_okay=False)
+
+class RunDirectory(click.Path):
+    """The directory of a run; of a file the message says which one may be meant."""
+
+    def __init__(self) -> None:
+        super().__init__(path_type=Path, file_okay=False)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path; raise BadParameter for a file."""
+        path = Path(value)
+        if path.is_file():
+            meant = path.parent if (path.parent / "campaign.db").exists() else Path("runs", path.stem)
+            self.fail(f"{value} is a file; give the directory of a run, such as {meant}", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+RUN_DIRECTORY = RunDirectory()
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})

@@ -161,7 +161,7 @@ def _bounded_faults(config: CampaignConfig, spec: SystemSpec, law: Disturbance, 
     elif given.unit not in ("", law.unit):
         yield f"{where}.unit: {given.unit!r} is not allowed: {spec.name} takes {law.unit!r}, or 'sd' for scores"
     elif not (law.low is None or law.low <= given.low) or not (law.high is None or given.high <= law.high):
-        yield f"{where}: [{given.low:g}, {given.high:g}] leaves the values of its law: {law.words}"
+        yield f"{where}: [{given.low:g}, {given.high:g}] goes beyond the values of its law: {law.words}"
 
 
 def _space_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
@@ -186,8 +186,8 @@ def _space_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
             continue
         if not parameter.low <= box.low <= box.high <= parameter.high:
             faults.append(
-                f"space.{name}: [{box.low:g}, {box.high:g}] leaves [{parameter.low:g}, {parameter.high:g}] "
-                f"{parameter.unit}, the range of {spec.name}"
+                f"space.{name}: [{box.low:g}, {box.high:g}] goes beyond {_range_of(parameter)}, the range of "
+                f"{spec.name}"
             )
         if box.unit not in ("", parameter.unit):
             faults.append(f"space.{name}.unit: {box.unit!r} is not allowed: {spec.name} takes {parameter.unit!r}")
@@ -212,9 +212,14 @@ def _row_faults(space: Scenarios | StartTable, spec: SystemSpec) -> Iterator[str
         for parameter, value in zip(spec.parameters, row, strict=True):
             if not parameter.low <= value <= parameter.high:
                 yield (
-                    f"{key}: {entry} {number}, {parameter.name} = {value:g} leaves "
-                    f"[{parameter.low:g}, {parameter.high:g}] {parameter.unit}, the range of {spec.name}"
+                    f"{key}: {entry} {number}, {parameter.name} = {value:g} goes beyond "
+                    f"{_range_of(parameter)}, the range of {spec.name}"
                 )
+
+
+def _range_of(parameter: Parameter) -> str:
+    """Return the range of a parameter with its unit, if it has one."""
+    return f"[{parameter.low:g}, {parameter.high:g}] {parameter.unit}".rstrip()
 
 
 def _kernel_faults(config: CampaignConfig, spec: SystemSpec) -> Iterator[str]:
@@ -280,10 +285,7 @@ def _nominal_faults(config: CampaignConfig, spec: SystemSpec) -> Iterator[str]:
         if name not in known:
             yield f"falsify.nominal.{name}: unknown parameter; {meant(name, known)}{spec.name} has {', '.join(known)}"
         elif not known[name].low <= value <= known[name].high:
-            yield (
-                f"falsify.nominal.{name}: {value:g} leaves [{known[name].low:g}, {known[name].high:g}], the range of "
-                f"{spec.name}"
-            )
+            yield (f"falsify.nominal.{name}: {value:g} goes beyond {_range_of(known[name])}, the range of {spec.name}")
 
 
 def _rollout_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:

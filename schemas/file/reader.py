@@ -30,6 +30,12 @@ MAX_STARTS_FILE = 64 * 2**20
 """Bytes of a file of starts."""
 
 
+MOST_NAMED = 8
+"""Files that a message names."""
+SYSTEM_IN_FILE = re.compile(r"^@[\w.]*system\(.*?^(?:def|class) (\w+)", re.MULTILINE | re.DOTALL)
+"""The first decorated function or class of a Python file."""
+
+
 def load_description(path: Path) -> CampaignConfig:
     """Read a campaign file for its system; one that it describes needs `[system]` and `[space]` alone.
 
@@ -65,7 +71,13 @@ def file_and_place(path: Path) -> tuple[bytes, str, Beside]:
         if ".py:" in path.name:
             command = f"perfbound init {shlex.quote(str(path))}"
             raise CampaignError(f"{path}: this is a system; write a campaign file: {command}") from None
-        raise CampaignError(f"{path}: {error.strerror}; choose a campaign file, e.g. one of deploy/campaigns") from None
+        found = sorted(each.name for each in path.parent.glob("*.toml"))[:MOST_NAMED]
+        there = f"in this folder: {', '.join(found)}" if found else "perfbound init SYSTEM writes one"
+        raise CampaignError(f"{path}: {error.strerror}; choose a campaign file; {there}") from None
+    if path.suffix == ".py":
+        system = SYSTEM_IN_FILE.search(data.decode(errors="replace"))
+        reference = shlex.quote(f"{path}:{system[1] if system else 'NAME'}")
+        raise CampaignError(f"{path}: this is Python and no campaign file; write one: perfbound init {reference}")
     if len(data) > MAX_CAMPAIGN_FILE:
         raise CampaignError(f"{path}: more than {MAX_CAMPAIGN_FILE} bytes; choose a campaign file")
     return data, str(path), lambda name: read_outside(path.parent / name, MAX_STARTS_FILE)

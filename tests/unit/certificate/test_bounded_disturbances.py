@@ -167,7 +167,7 @@ class TestReaders:
         ({"gsut": WITHIN}, "space.gsut: unknown parameter; did you mean 'gust'?"),
         ({"gust": WITHIN | {"high": 7.0}}, "space.gust: [-3, 7] sd is not allowed: allowed are at most 6 sd"),
         ({"gust": WITHIN | {"unit": "km"}}, "space.gust.unit: 'km' is not allowed"),
-        ({"mass": {"low": 0.8, "high": 1.0}}, "space.mass: [0.8, 1] leaves the values of its law"),
+        ({"mass": {"low": 0.8, "high": 1.0}}, "space.mass: [0.8, 1] goes beyond the values of its law"),
         ({"side": {"low": 0.0, "high": 1.0}}, "space.side: the law of side has choices"),
     ],
 )

@@ -94,7 +94,7 @@ def test_what_is_left_out_has_a_default() -> None:
         ({"alpha": None}, "Campaign(test-function): alpha: required"),
         ({"space": {"z1": (5, 0), "z2": (0, 5)}}, "space.z1.low: 5 less high = 0"),
         ({"space": {"z1": (0, 5)}}, "space.z2: test-function required"),
-        ({"space": {"z1": (0, 9), "z2": (0, 5)}}, "space.z1: [0, 9] leaves [0, 5]"),
+        ({"space": {"z1": (0, 9), "z2": (0, 5)}}, "space.z1: [0, 9] goes beyond [0, 5]"),
         ({"options": {"noise": 1}}, "system.noise: unknown key"),
         ({"specification": "velue <= 1"}, "Campaign(test-function): specification: "),
         ({"specification": object()}, "specification: object"),

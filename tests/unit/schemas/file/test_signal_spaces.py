@@ -105,7 +105,7 @@ def test_the_length_scale_of_a_signal_is_that_of_its_knots() -> None:
         ('u = { signal = "linear", knots = 200, low = 0, high = 1 }', "space.u.knots: 200 is not allowed"),
         ("u = [0, 1]\ngap = [0, 9]", "space.u.signal: required any u"),
         (SIGNAL + CONSTANT, "space.gap.signal: any gap signal"),
-        (SIGNAL.replace("high = 1", "high = 2") + "gap = [0, 9]", "space.u: [0, 2] leaves [0, 1]"),
+        (SIGNAL.replace("high = 1", "high = 2") + "gap = [0, 9]", "space.u: [0, 2] goes beyond [0, 1]"),
         ("scenarios = [[0, 1, 3]]", "space.scenarios: any u list"),
     ],
 )

@@ -338,7 +338,7 @@ def test_a_table_that_is_none(space: str, csv: bytes, reason: str) -> None:
 def test_a_table_of_another_system() -> None:
     for rows, reason in (
         ("[[1, 2, 3]]", r"space\.table: row 0 is \[1\.0, 2\.0, 3\.0\]; any takes gap, speed"),
-        ("[[1, 2], [3, 400]]", r"space\.table: row 1, speed = 400 leaves \[0, 100\] m, the range of any"),
+        ("[[1, 2], [3, 400]]", r"space\.table: row 1, speed = 400 goes beyond \[0, 100\] m, the range of any"),
     ):
         with pytest.raises(CampaignError, match=f"c.toml: {reason}"):
             check_against(parsed(f"table = {rows}"), SPEC, "c.toml")
