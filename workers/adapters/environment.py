@@ -19,7 +19,7 @@ from typing import Any, SupportsFloat, TypeGuard
 
 import numpy as np
 
-from ...schemas.errors import DefinitionError, SimulationError, meant
+from ...schemas.errors import DefinitionError, SimulationError, meant, shortened
 from ...schemas.file.config import CampaignConfig
 from ...schemas.system import ENDED, AfterEnd, OptionValue, SystemSpec, Variant, timed_columns
 from ...schemas.trajectory.trajectory import Trajectory, Visual
@@ -117,7 +117,7 @@ class Environment:
         yield observation, 0.0, ended, info
         # A last step that a rounding has cut off is one.
         for _ in range(int(horizon / step * (1.0 + 1e-12) + 1e-9)):
-            action = self._policy.act(observation)
+            action = self._checked(self._policy.act(observation))
             try:
                 observation, reward, terminated, _truncated, info = self.env.step(action)
             except NOT_OF_SYSTEMS:
@@ -131,6 +131,20 @@ class Environment:
                 ) from None
             ended = ended or bool(terminated)
             yield observation, float(reward), ended, info
+
+    def _checked(self, action: Any) -> Any:
+        """Return an action, if it is one: many environments take the first number of another array, or NaN."""
+        space = self.env.action_space
+        if hasattr(space, "low"):  # within its limits or not, which an environment clips
+            found = np.asarray(action)
+            fits = found.shape == space.shape and found.dtype.kind in "fiub" and bool(np.isfinite(found).all())
+        else:
+            fits = space.contains(action)
+        if not fits:
+            raise SimulationError(
+                f"{self._policy.path.name} returned {shortened(repr(action))}, and an action is one of {space}"
+            )
+        return action
 
     def _begun(self, start: Mapping[str, float], seed: int) -> tuple[Any, Mapping[str, Any]]:
         env, base = self.env, self.env.unwrapped
@@ -242,7 +256,10 @@ def load_environment(file: Path, config: CampaignConfig) -> SystemUnderTest:
     # It says at every rollout that an episode has ended, which is what `ended` is for.
     gymnasium.logger.min_level = gymnasium.logger.ERROR
     where, environment_id = str(file), choice.gymnasium
-    policy = load_policy(choice.policy, folder)
+    try:
+        policy = load_policy(choice.policy, folder)
+    except DefinitionError as error:
+        raise DefinitionError(f"{where}: system.policy: {error}") from None
     given = {name: _argument(value) for name, value in choice.options.items()}
     environment = Environment(lambda: _made(environment_id, given, folder, where), policy, where)
     parameters = tuple(space_parameters(config))
@@ -261,6 +278,8 @@ def load_environment(file: Path, config: CampaignConfig) -> SystemUnderTest:
         columns = _columns(environment, lows, step, choice.columns, where)
     except DefinitionError:
         raise
+    except SimulationError as error:
+        raise DefinitionError(f"{where}: system.policy: {error}") from None
     except NOT_OF_SYSTEMS:
         raise
     except Exception as error:  # noqa: BLE001  (any: untrusted code)
