@@ -215,6 +215,27 @@ def test_what_cannot_be_is_refused_with_the_remedy(
         environment(named, space, keys, policy=ACTS)
 
 
+@pytest.mark.parametrize(
+    ("named", "space", "action", "said"),
+    [
+        ("CartPole-v1", "length = [0.4, 0.6]", "2", r"policy\.py returned 2, and an action is one of Discrete\(2\)"),
+        ("CartPole-v1", "length = [0.4, 0.6]", "'left'", r"returned 'left', and an action is one of"),
+        ("CartPole-v1", "length = [0.4, 0.6]", "0.0", r"returned 0\.0, and"),
+        ("Pendulum-v1", "g = [9, 11]", "[0.0, 0.0, 0.0]", r"an action is one of Box\(-2\.0, 2\.0, \(1,\), float32\)"),
+        ("Pendulum-v1", "g = [9, 11]", "[float('nan')]", r"returned \[nan\], and an action is one of"),
+        ("Pendulum-v1", "g = [9, 11]", "['x']", r"returned \['x'\], and an action is one of"),
+    ],
+)
+def test_what_is_no_action_is_refused(environment: Make, named: str, space: str, action: str, said: str) -> None:
+    with pytest.raises(DefinitionError, match=rf"system\.policy: .*{said}"):
+        environment(named, space, policy=f"def act(observation):\n    return {action}\n")
+
+
+def test_an_action_beyond_its_limits_is_left_to_the_environment(environment: Make) -> None:
+    system = environment("Pendulum-v1", "g = [9, 11]", policy="def act(observation):\n    return [5.0]\n")
+    assert len(rolled(system, 10.0, horizon=0.5).samples) == 11
+
+
 def test_a_horizon_of_less_than_a_step_is_refused(environment: Make) -> None:
     with pytest.raises(SimulationError, match=r"a horizon of 0\.01 s is less than a step of cartpole-v1, 0\.02 s"):
         rolled(environment("CartPole-v1", "length = [0.4, 0.6]"), 0.5, horizon=0.01)
