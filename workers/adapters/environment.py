@@ -11,8 +11,8 @@ the environment, before and after its reset; else a key of its `config`, or an o
 """
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import cached_property
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from numbers import Real
 from pathlib import Path
 from typing import Any, SupportsFloat, TypeGuard
@@ -21,7 +21,7 @@ import numpy as np
 
 from ...schemas.errors import DefinitionError, SimulationError, meant, shortened
 from ...schemas.file.config import CampaignConfig
-from ...schemas.system import ENDED, AfterEnd, OptionValue, SystemSpec, Variant, timed_columns
+from ...schemas.system import ENDED, Option, OptionValue, SystemSpec, Variant, timed_columns
 from ...schemas.trajectory.trajectory import Trajectory, Visual
 from ..faults import NOT_OF_SYSTEMS, fault_text
 from ..systems.base import Floats, Progress, SystemUnderTest, checked_options
@@ -41,48 +41,39 @@ TRIED = 20
 class Environment:
     """An environment that was made once, with its policy: it runs episodes."""
 
-    def __init__(self, make: Callable[[], Any], policy: Policy, where: str) -> None:
-        self._make, self._policy, self._where = make, policy, where
-        self._setters: dict[str, str] = {}
+    def __init__(self, env: Any, policy: Policy, names: Sequence[str], where: str) -> None:
+        self.env, self._policy, self._where = env, policy, where
+        self.observed = tuple(_names(env.observation_space))
+        """The names of the numbers of an observation."""
+        self._setters = {name: self._setter(name) for name in names}
 
-    @cached_property
-    def env(self) -> Any:
-        """The environment."""
-        return self._make()
-
-    def find(self, names: Sequence[str]) -> None:
-        """Find where each parameter is set.
-
-        Raises:
-            DefinitionError: an attribute is no number.
-
-        """
+    def _setter(self, name: str) -> str:
+        """Return where a parameter is set; refuse an attribute that is no number."""
+        if self._policy.start is not None:
+            return "start"
         base = self.env.unwrapped
-        for name in names:
-            if self._policy.start is not None:
-                self._setters[name] = "start"
-            elif hasattr(base, name):
-                if not _is_number(value := getattr(base, name)):
-                    raise DefinitionError(
-                        f"{self._where}: space: {name} is an attribute of the environment, and {type(value).__name__} "
-                        f"and no number; {self._write_reset(name)}"
-                    )
-                self._setters[name] = "attribute"
-            elif name in _config(base):
-                self._setters[name] = "config"
-            else:
-                self._setters[name] = "option"
+        if not hasattr(base, name):
+            return "config" if name in _config(base) else "option"
+        if not _is_number(value := getattr(base, name)):
+            raise DefinitionError(
+                f"{self._where}: space: {name} is an attribute of the environment, and {type(value).__name__} "
+                f"and no number; {self._write_reset(name)}"
+            )
+        return "attribute"
 
     @property
     def whole(self) -> Iterator[str]:
         """Yield the names of the parameters that are set as integers."""
         base = self.env.unwrapped
         for name, kind in self._setters.items():
-            before = getattr(base, name) if kind == "attribute" else _config(base).get(name)
-            if isinstance(before, int | np.integer) and not isinstance(before, bool):
+            if _is_whole(getattr(base, name) if kind == "attribute" else _config(base).get(name)):
                 yield name
 
-    def check_effect(self, lows: Mapping[str, float], highs: Mapping[str, float], step: float) -> None:
+    def seen(self, observation: Any) -> list[float]:
+        """Return the numbers of an observation, in the order of `observed`."""
+        return list(_numbers(self.env.observation_space, observation))
+
+    def check_effect(self, lows: Mapping[str, float], highs: Mapping[str, float]) -> None:
         """Refuse an option that changes nothing, which is one that the environment does not read.
 
         Raises:
@@ -90,24 +81,20 @@ class Environment:
 
         """
         options = [name for name, kind in self._setters.items() if kind == "option"]
-        before = self.first_steps(lows, step) if options else np.empty(0)
+        before = self._first_steps(lows) if options else np.empty(0)
         for name in options:
-            if np.array_equal(before, self.first_steps({**lows, name: highs[name]}, step), equal_nan=True):
+            if np.array_equal(before, self._first_steps({**lows, name: highs[name]}), equal_nan=True):
                 raise DefinitionError(
                     f"{self._where}: space: the environment has no attribute {name}, and reset(options={{{name!r}: "
                     f"...}}) changes nothing in {TRIED} steps; {self._write_reset(name)}"
                 )
 
-    def first_steps(self, start: Mapping[str, float], step: float) -> Floats:
+    def _first_steps(self, start: Mapping[str, float]) -> Floats:
         """Return the observations and rewards of the first steps, with one seed."""
-        rows = [
-            np.append(np.array(list(_numbers(self.env.observation_space, observation))), reward)
-            for observation, reward, *_ in self.episode(start, 0, TRIED * step, step)
-        ]
-        return np.array(rows)
+        return np.array([[*self.seen(seen), reward] for seen, reward, *_ in self.episode(start, 0, TRIED)])
 
     def episode(
-        self, start: Mapping[str, float], seed: int, horizon: float, step: float
+        self, start: Mapping[str, float], seed: int, steps: int
     ) -> Iterator[tuple[Any, float, bool, Mapping[str, Any]]]:
         """Yield observation, reward, whether the episode has ended, and info: at 0 and after every step."""
         observation, info = self._begun(start, seed)
@@ -115,13 +102,10 @@ class Environment:
             self._policy.reset()
         ended = False
         yield observation, 0.0, ended, info
-        # A last step that a rounding has cut off is one.
-        for _ in range(int(horizon / step * (1.0 + 1e-12) + 1e-9)):
+        for _ in range(steps):
             action = self._checked(self._policy.act(observation))
             try:
                 observation, reward, terminated, _truncated, info = self.env.step(action)
-            except NOT_OF_SYSTEMS:
-                raise
             except Exception as error:
                 if not ended:
                     raise
@@ -205,12 +189,14 @@ class EnvironmentSystem(SystemUnderTest):
 
         """
         checked_options(self._spec, x, variant=variant, horizon=horizon, options=options)
-        names = (each.name for each in self._spec.parameters)
-        episode = self._environment.episode(dict(zip(names, map(float, x), strict=True)), seed, horizon, self._step)
-        if horizon < self._step:
+        # A last step that a rounding has cut off is one.
+        steps = int(horizon / self._step * (1.0 + 1e-12) + 1e-9)
+        if not steps:
             raise SimulationError(
                 f"a horizon of {horizon:g} s is less than a step of {self._spec.name}, {self._step:g} s"
             )
+        names = (each.name for each in self._spec.parameters)
+        episode = self._environment.episode(dict(zip(names, map(float, x), strict=True)), seed, steps)
         rows = list[list[Any]]()
         for number, (observation, reward, ended, info) in enumerate(episode):
             rows.append(self._row(number, observation, reward, ended, info))
@@ -226,8 +212,8 @@ class EnvironmentSystem(SystemUnderTest):
         return Visual(plots=True)
 
     def _row(self, number: int, observation: Any, reward: float, ended: bool, info: Mapping[str, Any]) -> list[Any]:
-        space = self._environment.env.observation_space
-        known: dict[str, Any] = dict(zip(_names(space), _numbers(space, observation), strict=True))
+        environment = self._environment
+        known: dict[str, Any] = dict(zip(environment.observed, environment.seen(observation), strict=True))
         known |= {"reward": reward, ENDED.name: float(ended)}
         row: list[Any] = [number * self._step]
         for name in self._recorded:
@@ -261,29 +247,25 @@ def load_environment(file: Path, config: CampaignConfig) -> SystemUnderTest:
     except DefinitionError as error:
         raise DefinitionError(f"{where}: system.policy: {error}") from None
     given = {name: _argument(value) for name, value in choice.options.items()}
-    environment = Environment(lambda: _made(environment_id, given, folder, where), policy, where)
+    with _blaming(f"{where}: system.gymnasium: {environment_id}"):
+        import_beside(environment_id.rpartition(":")[0], folder)
+        # Without its limit of steps, which the horizon is, and without checks that print.
+        env = gymnasium.make(environment_id, max_episode_steps=-1, disable_env_checker=True, **given)
     parameters = tuple(space_parameters(config))
-    environment.find([each.name for each in parameters])
+    environment = Environment(env, policy, [each.name for each in parameters], where)
     _check_whole(environment.whole, config, where)
-    base = environment.env.unwrapped
-    step = choice.step or _step_of(base)
+    step = choice.step or _step_of(env.unwrapped)
     if step is None:
         raise DefinitionError(
             f"{where}: system.step: {environment_id} does not say how long a step is; give its s, or step = 1.0 to "
             "count steps"
         )
     lows, highs = ({each.name: getattr(each, end) for each in parameters} for end in ("low", "high"))
-    try:
-        environment.check_effect(lows, highs, step)
-        columns = _columns(environment, lows, step, choice.columns, where)
-    except DefinitionError:
-        raise
-    except SimulationError as error:
-        raise DefinitionError(f"{where}: system.policy: {error}") from None
-    except NOT_OF_SYSTEMS:
-        raise
-    except Exception as error:  # noqa: BLE001  (any: untrusted code)
-        raise DefinitionError(f"{where}: {environment_id} with {choice.policy}: {fault_text(error)}") from None
+    with _blaming(f"{where}: {environment_id} with {choice.policy}", f"{where}: system.policy"):
+        environment.check_effect(lows, highs)
+        columns = _columns(environment, lows, choice.columns, where)
+    if choice.after_end is None:  # stepped on beyond the end of an episode, `ended` is a column of its own
+        columns[ENDED.name] = (ENDED.name, ENDED.unit)
     try:
         files = DeclaredFiles(
             {each: path for each, path in declared_files(choice.files or (), folder).items() if path != policy.path}
@@ -293,40 +275,39 @@ def load_environment(file: Path, config: CampaignConfig) -> SystemUnderTest:
             name=name_of(re.sub(".*[:/]", "", environment_id), "environment"),
             doc=f"{environment_id} of Gymnasium, with {choice.policy}",
             parameters=parameters,
-            columns=_timed({name: unit for name, (_, unit) in columns.items()}, choice.after_end),
-            options=tuple(option_of(name, value) for name, value in sorted(choice.options.items())),
+            columns=timed_columns({name: unit for name, (_, unit) in columns.items()}, choice.after_end),
+            options=tuple(_option(name, value) for name, value in sorted(choice.options.items())),
             variants=("nominal",),
             noisy=() if choice.noisy in {False, ()} else ("nominal",),
             max_horizon=step * MAX_STEPS,
             default_horizon=config.horizon,
             seed_bits=SEED_BITS,
             code=policy.digests | code_beside(folder) | files.digests,
-            versions=policy.versions | versions_of((), {"gymnasium", type(base).__module__}),
+            versions=policy.versions | versions_of((), {"gymnasium", type(env.unwrapped).__module__}),
             after_end=choice.after_end,
         )
     except DefinitionError as error:
         raise DefinitionError(f"{where}: system: {error}") from None
-    recorded = [name for name, _ in columns.values()]
-    system = EnvironmentSystem(spec, environment, step, recorded if choice.after_end else [*recorded, ENDED.name])
-    return WithSpec(system, files)
+    return WithSpec(EnvironmentSystem(spec, environment, step, [name for name, _ in columns.values()]), files)
 
 
-def _timed(units: Mapping[str, str], after_end: AfterEnd | None) -> tuple[Any, ...]:
-    # Stepped on beyond the end of an episode, its last column is one of its own.
-    return timed_columns(units if after_end is not None else {**units, ENDED.name: ENDED.unit}, after_end)
-
-
-def _made(environment_id: str, given: Mapping[str, Any], folder: Path, where: str) -> Any:
-    import gymnasium  # noqa: PLC0415  (an extra)
-
+@contextmanager
+def _blaming(place: str, simulated: str | None = None) -> Iterator[None]:
+    """Turn what the code of others raises into an error at a place; what we say of a rollout stands at another one."""
     try:
-        import_beside(environment_id.rpartition(":")[0], folder)
-        # Without its limit of steps, which the horizon is, and without checks that print.
-        return gymnasium.make(environment_id, max_episode_steps=-1, disable_env_checker=True, **given)
-    except NOT_OF_SYSTEMS:
+        yield
+    except (DefinitionError, *NOT_OF_SYSTEMS):
         raise
-    except Exception as error:  # noqa: BLE001  (any: untrusted code)
-        raise DefinitionError(f"{where}: system.gymnasium: {environment_id}: {fault_text(error)}") from None
+    except SimulationError as error:
+        raise DefinitionError(f"{simulated or place}: {error}") from None
+    except BaseException as error:  # noqa: BLE001  (any: untrusted code)
+        raise DefinitionError(f"{place}: {fault_text(error)}") from None
+
+
+def _option(name: str, value: OptionValue) -> Option:
+    """Return an option that has the value of the file alone: the environment is made with it, once."""
+    ends = {} if isinstance(value, str) else {"low": value, "high": value}
+    return option_of(name, value).model_copy(update=ends)
 
 
 def _check_whole(names: Iterable[str], config: CampaignConfig, where: str) -> None:
@@ -343,11 +324,11 @@ def _check_whole(names: Iterable[str], config: CampaignConfig, where: str) -> No
 
 
 def _columns(
-    environment: Environment, start: Mapping[str, float], step: float, chosen: Mapping[str, str] | None, where: str
+    environment: Environment, start: Mapping[str, float], chosen: Mapping[str, str] | None, where: str
 ) -> dict[str, tuple[str, str]]:
     """Return the own columns by their names: what each is called in the environment, and its unit."""
-    *_, (_, _, _, info) = environment.episode(start, 0, step, step)
-    observed = list(_names(environment.env.observation_space))
+    *_, (_, _, _, info) = environment.episode(start, 0, 1)
+    observed = environment.observed
     scalars = [str(name) for name, value in info.items() if _is_number(value) or isinstance(value, bool | np.bool_)]
     known = [*observed, "reward", *(name for name in scalars if re.fullmatch("[a-z][a-z0-9_]*", name))]
     if chosen is None:
@@ -410,9 +391,13 @@ def _is_number(value: object) -> TypeGuard[SupportsFloat]:
     return isinstance(value, Real | np.number) and not isinstance(value, bool | np.bool_)
 
 
+def _is_whole(value: object) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
 def _like(before: object, value: float) -> float:
     """Return a value as an integer where there was one."""
-    return round(value) if isinstance(before, int | np.integer) and not isinstance(before, bool) else value
+    return round(value) if _is_whole(before) else value
 
 
 def _argument(value: OptionValue) -> Any:

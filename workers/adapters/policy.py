@@ -1,5 +1,7 @@
 """The policies of environments: a function or class in a file, or a model of Stable-Baselines3."""
 
+import importlib
+import importlib.metadata
 import inspect
 from collections.abc import Callable
 from pathlib import Path
@@ -53,9 +55,6 @@ def _of_code(path: Path, name: str) -> Policy:
 
 
 def _of_model(path: Path, text: str, name: str) -> Policy:
-    import importlib  # noqa: PLC0415  (few policies are models)
-    from importlib.metadata import version  # noqa: PLC0415  (as above)
-
     if not path.is_file():
         raise DefinitionError(f"{path}: there is no such model; save one with model.save({path.stem!r})")
     for package in ALGORITHMS:
@@ -77,5 +76,5 @@ def _of_model(path: Path, text: str, name: str) -> Policy:
     def act(observation: Any) -> Any:
         return model.predict(observation, deterministic=True)[0]
 
-    packages = (package.replace("_", "-"), "torch")
-    return Policy(act, None, None, path, {text: file_sha256(path)}, {each: version(each) for each in packages})
+    versions = {each: importlib.metadata.version(each) for each in (package.replace("_", "-"), "torch")}
+    return Policy(act, None, None, path, {text: file_sha256(path)}, versions)

@@ -31,15 +31,10 @@ function titleSection(report) {
   );
 }
 
-/** Whether the claims are of starts that are drawn. */
-function drawsStarts({ problems }) {
-  return problems.length > 0 && problems[0].method === "sample";
-}
-
 /** Of which starts of the space the first claim is. */
 function startsText(report) {
   if (report.problems.some(isListed)) return "each of ";
-  return drawsStarts(report) ? "starts that are drawn with " : "every start with ";
+  return report.problems.some(drawsStarts) ? "starts that are drawn with " : "every start with ";
 }
 
 /** When a campaign ended, and who ran it. */
@@ -96,7 +91,7 @@ function rolloutsText(report) {
 function spaceText(report) {
   const starts = report.problems.find(isListed)?.surfaces[0].points.length;
   // Beside drawn starts a search may choose disturbances, which no claim is for.
-  const chosen = drawsStarts(report) ? report.disturbances.map(({ name }) => name) : [];
+  const chosen = report.problems.some(drawsStarts) ? report.disturbances.map(({ name }) => name) : [];
   const box = report.axes.filter(({ name }) => !chosen.includes(name)).map(({ name, low, high, unit }) => `${short(name, 24)} ${num(low)} to ${quantity(high, unit)}`);
   const region = report.where === null ? "" : `, where ${short(report.where, 300)}`;
   return (starts ? `${plural(starts, "start")} with ` : "") + box.join(", ") + region;

@@ -147,6 +147,9 @@ def test_parameters_are_attributes_keys_of_the_config_and_options(environment: M
 def test_options_of_the_system_are_arguments_of_the_environment(environment: Make) -> None:
     system = environment("walk:Walk-v0", "speed = [0.1, 2]", "slope = -1", policy=WALKS)
     assert np.allclose(np.diff(rolled(system, 0.5).column("own_place_0")), -0.5)
+    given: Any = {"variant": "nominal", "seed": 7, "horizon": 2.0, "progress": lambda _: None}
+    with pytest.raises(SimulationError, match=r"slope is a number in \[-1\.0, -1\.0\], not 2\.0"):
+        system.rollout((0.5,), options={"slope": 2.0}, **given)
     with pytest.raises(DefinitionError, match=r"system\.gymnasium: walk:Walk-v0: .*unexpected keyword argument"):
         environment("walk:Walk-v0", "speed = [0.1, 2]", "slope = 1\nslop = 2", policy=WALKS)
 

@@ -8,7 +8,7 @@ const CHART = { height: 240, decay: 180 }; // pixels
 
 /** The names of the series of the bounds, by their side. */
 function boundNames(problem) {
-  const of = problem.method === "sample" ? "the claimed quantity" : problem.sense === "max" ? "the largest value" : "the worst start";
+  const of = drawsStarts(problem) ? "the claimed quantity" : problem.sense === "max" ? "the largest value" : "the worst start";
   const limit = problem.method === "scenario" ? `the bound on ${of} cannot become better than this` : null;
   const names = { lower: `lower bound of the method on ${of}`, upper: `upper bound of the method on ${of}` };
   return limit === null ? names : { ...names, [claimedSide(problem) === "lower" ? "upper" : "lower"]: limit };
@@ -54,7 +54,7 @@ function boundFigure(report, problem, index) {
 
 function boundTitle(problem) {
   if (problem.requirement !== null) return "Observed values of the tests"; // its bounds were not recorded
-  if (problem.method === "sample") return "The bound of the first claim after each sample";
+  if (drawsStarts(problem)) return "The bound of the first claim after each sample";
   return `Bounds on the ${problem.sense === "max" ? "maximum" : "minimum"} after each test`;
 }
 
@@ -189,7 +189,7 @@ function stopLabel(problem) {
 
 /** What a value of the objective is, as a name of an axis. */
 function valueName(problem) {
-  if (problem.method === "sample" && problem.sense === "max") return "probability";
+  if (drawsStarts(problem) && problem.sense === "max") return "probability";
   return problem.charts.of_robustness ? "robustness" : "value";
 }
 

@@ -8,9 +8,14 @@ const VIRIDIS = [
 const REACH = 14; // pixels around the centre of a dot that select it
 const MARGIN = { left: 44, top: 24, bottom: 40, right: 12, bar: 74 }; // pixels; bar: to the right, with a colour bar
 
-/** Whether a test observes the robustness itself, whatever is bounded: where starts are drawn. */
-function observesRobustness({ method }) {
+/** Whether the starts are drawn, and the claims are about drawn starts. */
+function drawsStarts({ method }) {
   return method === "sample";
+}
+
+/** Whether a test observes the robustness itself, whatever is bounded: where starts are drawn. */
+function observesRobustness(problem) {
+  return drawsStarts(problem);
 }
 
 const results = new WeakMap(); // problem -> Map of results, which are the same until the next data: a pointer moves often
