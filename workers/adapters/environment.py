@@ -105,6 +105,7 @@ class Environment:
         for _ in range(steps):
             action = self._checked(self._policy.act(observation))
             try:
+                # A limit of steps is none here: the horizon is.
                 observation, reward, terminated, _truncated, info = self.env.step(action)
             except Exception as error:
                 if not ended:
@@ -249,8 +250,8 @@ def load_environment(file: Path, config: CampaignConfig) -> SystemUnderTest:
     given = {name: _argument(value) for name, value in choice.options.items()}
     with _blaming(f"{where}: system.gymnasium: {environment_id}"):
         import_beside(environment_id.rpartition(":")[0], folder)
-        # Without its limit of steps, which the horizon is, and without checks that print.
-        env = gymnasium.make(environment_id, max_episode_steps=-1, disable_env_checker=True, **given)
+        # Without checks that print.
+        env = gymnasium.make(environment_id, disable_env_checker=True, **given)
     parameters = tuple(space_parameters(config))
     environment = Environment(env, policy, [each.name for each in parameters], where)
     _check_whole(environment.whole, config, where)

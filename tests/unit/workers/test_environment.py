@@ -51,14 +51,14 @@ class Walk(gymnasium.Env):
         return self.seen(), {"clock": 0.0}
 
     def seen(self):
-        return {"Own place": np.array([self.at, self.width], dtype=np.float32), "lane": 1}
+        return {"Own place": np.array([self.at, len(range(self.width))], dtype=np.float32), "lane": 1}
 
     def step(self, action):
         if self.t >= BREAKS:
             raise RuntimeError("it is over")
         self.t += 1
         self.at += self.config["speed"] * self.slope
-        return self.seen(), -1.0, self.t >= 3, False, {"clock": self.t / 4, "far": self.at > 2, "word": "w"}
+        return self.seen(), -1.0, self.t == 3, False, {"clock": self.t / 4, "far": self.at > 2, "word": "w"}
 
 gymnasium.register("Walk-v0", entry_point=Walk)
 """
@@ -117,6 +117,10 @@ def test_an_episode_is_that_of_the_environment(environment: Make) -> None:
     assert np.array_equal(rolled(system, 0.45, horizon=0.2).samples, found.samples), "nothing is left of a rollout"
     assert not np.array_equal(rolled(system, 0.55, horizon=0.2).samples, found.samples)
     assert not np.array_equal(rolled(system, 0.45, seed=8, horizon=0.2).samples, found.samples)
+
+
+def test_the_horizon_and_no_limit_of_steps_ends_an_episode(environment: Make) -> None:
+    assert len(rolled(environment("CartPole-v1", "length = [0.4, 0.6]"), 0.5, horizon=11.0).samples) == 551
 
 
 def test_names_of_the_file_are_those_of_the_observation_in_its_order(environment: Make) -> None:
