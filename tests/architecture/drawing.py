@@ -116,7 +116,7 @@ def _on_curve(begin: Point, control: Point, end: Point, at: float) -> Point:
     )
 
 
-WIDTH, FLOOR, GAP, MARGIN = 860.0, 44.0, 8.0, 24.0
+WIDTH, FLOOR, GAP, MARGIN = 1010.0, 44.0, 8.0, 24.0
 DOT = " \u00b7 "
 
 
@@ -125,7 +125,7 @@ def plan(floors: Sequence[Sequence[str]], parts: Callable[[str], Sequence[str]])
 
     `parts` returns the folders inside one.
     """
-    left, right = MARGIN + 40.0, WIDTH - MARGIN - 160.0
+    left, right = MARGIN + 40.0, WIDTH - MARGIN - 220.0
     top, frame = MARGIN + FLOOR + 3 * GAP, len(floors) * (FLOOR + GAP)
     shapes = [_room(left, MARGIN, WIDTH - MARGIN - left, "perfbound", ["library"])]
     for number, rooms in enumerate(floors):
