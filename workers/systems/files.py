@@ -42,7 +42,7 @@ def load_reference(reference: str) -> SystemUnderTest:
             program = load_program(path, config)
             return WithSpec(program, program.declared)
         case "gymnasium":
-            from ..adapters.environment import load_environment  # noqa: PLC0415  (needs an extra)
+            from .environment import load_environment  # noqa: PLC0415  (needs an extra)
 
             return load_environment(path, config)
         case "python":

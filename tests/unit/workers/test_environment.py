@@ -12,9 +12,9 @@ import pytest
 
 from perfbound.schemas.errors import CampaignError, DefinitionError, SimulationError
 from perfbound.schemas.file.reader import parse_campaign
-from perfbound.workers.adapters.environment import load_environment
-from perfbound.workers.adapters.policy import load_policy
 from perfbound.workers.systems.base import SystemUnderTest
+from perfbound.workers.systems.environment import load_environment
+from perfbound.workers.systems.policy import load_policy
 
 CAMPAIGN = """
 specification = "always (SIGNAL <= 1)"

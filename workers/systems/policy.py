@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ...schemas.errors import DefinitionError
-from ..systems.files import loaded_code
-from ..systems.fingerprint import file_sha256
+from .files import loaded_code
+from .fingerprint import file_sha256
 
 ALGORITHMS = ("stable_baselines3", "sb3_contrib")
 """Packages in which an algorithm is looked for."""

@@ -24,11 +24,11 @@ from ...schemas.file.config import CampaignConfig
 from ...schemas.system import ENDED, Option, OptionValue, SystemSpec, Variant, timed_columns
 from ...schemas.trajectory.trajectory import Trajectory, Visual
 from ..faults import NOT_OF_SYSTEMS, fault_text
-from ..systems.base import Floats, Progress, SystemUnderTest, checked_options
-from ..systems.declared import DeclaredFiles, WithSpec, declared_files
-from ..systems.described import name_of, option_of, space_parameters
-from ..systems.files import code_beside, import_beside
-from ..systems.fingerprint import versions_of
+from .base import Floats, Progress, SystemUnderTest, checked_options
+from .declared import DeclaredFiles, WithSpec, declared_files
+from .described import name_of, option_of, space_parameters
+from .files import code_beside, import_beside
+from .fingerprint import versions_of
 from .policy import Policy, load_policy
 
 MAX_STEPS = 10_000_000
