@@ -23,7 +23,7 @@ LOCKED = $(INSTALL) --only-binary :all: --require-hashes
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup dev slurm run test test-all every-test studies touched other-pythons mujoco jax smoke announce checks lint types imports doctests unit explore fuzz faults coverage reproduce bench bench-compare mutants schemas texts diagrams docs images lock clean
+.PHONY: help setup dev slurm run test test-all every-test studies touched other-pythons jax smoke announce checks lint types imports doctests unit explore fuzz faults coverage reproduce bench bench-compare mutants schemas texts diagrams docs images lock clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -51,7 +51,6 @@ setup: $(INSTALLED) ## Make the virtual environment with the locked versions (PY
 
 dev: $(READY) ## The same, and what the tests need
 
-mujoco: $(INSTALLED)-mujoco ## Add MuJoCo to it, for deploy/examples/cartpole and swing
 
 jax: $(INSTALLED)-jax ## Add JAX to it, for deploy/examples/satellite
 
@@ -64,12 +63,12 @@ run: setup ## Run the Segway campaign with two local workers (CAMPAIGN=..., WORK
 
 test: announce checks unit ## Lint, types, imports, unit and contract tests, one journey of each capability: 10 minutes
 
-test-all: announce checks mujoco jax $(INSTALLED)-docs docs every-test other-pythons ## Everything: kills, browsers, wheel, Slurm, site, fuzz, studies in short, other Pythons
+test-all: announce checks jax $(INSTALLED)-docs docs every-test other-pythons ## Everything: kills, browsers, wheel, Slurm, site, fuzz, studies in short, other Pythons
 
 other-pythons:
 	@for version in $(filter-out $(VERSION),$(VERSIONS)); do \
 	  if python$$version -c '' 2>/dev/null; \
-	  then $(MAKE) mujoco jax doctests every-test PYTHON=python$$version VENV=.venv-$$version || exit 1; \
+	  then $(MAKE) jax doctests every-test PYTHON=python$$version VENV=.venv-$$version || exit 1; \
 	  else missing="$$missing python$$version"; fi; \
 	done; test -z "$$missing" || echo "Not tested, because not on PATH:$$missing"
 
@@ -226,7 +225,6 @@ lock-%: build/pip-tools-%/.installed
 	$(call RESOLVE) -o locks/$*.txt pyproject.toml
 	$(call RESOLVE,-dev) --extra dev -c locks/$*.txt -o locks/$*-dev.txt pyproject.toml
 	$(call RESOLVE,-docs) --extra docs -c locks/$*.txt -c locks/$*-dev.txt -o locks/$*-docs.txt pyproject.toml
-	$(call RESOLVE,-mujoco) --extra mujoco -c locks/$*.txt -o locks/$*-mujoco.txt pyproject.toml
 	$(call RESOLVE,-jax) --extra jax -c locks/$*.txt -o locks/$*-jax.txt pyproject.toml
 
 clean: ## Remove the environment and caches; runs are kept

@@ -14,7 +14,6 @@ ALLOWED = (
     "fish is not installed",
     "zsh is not installed",
     "mkdocs is not installed",
-    "MuJoCo is not installed",
     "JAX is not installed",
     "to build the images",
     "Slurm",

@@ -82,6 +82,33 @@ class SystemChoice(Model, extra="allow"):
         description='an environment as `gymnasium.make` takes it, "CartPole-v1" or "MODULE:NAME-v0"; options of '
         "`[system]` are its arguments",
     )
+    fmu: str | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        min_length=1,
+        max_length=1000,
+        description="the file of a Functional Mock-up Unit of FMI 2 or 3, relative to the campaign file; options of "
+        "`[system]` are start values of its variables",
+    )
+    interface: Literal["co-simulation", "model-exchange"] | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="of an FMU that has both; by default `co-simulation`",
+    )
+    mjcf: str | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        min_length=1,
+        max_length=1000,
+        description="the file of a model for MuJoCo, relative to the campaign file",
+    )
+    controller: str | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        pattern=r"^[^:]+\.py:[A-Za-z_][A-Za-z0-9_]*$",
+        description="of a model for MuJoCo: FILE.py:NAME, a function of the model and its data that returns the "
+        "values of the actuators, or sets them; it is called at every `step`",
+    )
     policy: str | None = Field(
         default=None,
         exclude_if=lambda value: value is None,
@@ -94,18 +121,19 @@ class SystemChoice(Model, extra="allow"):
         min_length=1,
         description="of a program, required: columns of its samples in their order, with units, without `t`; of an "
         "environment: those that are recorded, by default every number of the observation, `reward` and numbers of "
-        "`info`",
+        "`info`; of an FMU its outputs, of MuJoCo the sensors",
     )
     step: float | None = Field(
         default=None,
         gt=0,
         description="of a program: s between two samples; without it their first column is `t`; of an environment: s "
-        "of a step, where it does not say so itself",
+        "of a step, of an FMU s between two samples, where it does not say so itself; of MuJoCo a multiple of the time "
+        "step, which is the default",
     )
     noisy: bool | tuple[Variant, ...] | None = Field(
         default=None,
         description="of a program: the rollouts, or those of these variants, depend on the seed; of an environment "
-        "by default true",
+        "by default true; of an FMU, whose variable `seed` it is then",
     )
     residual: bool | None = Field(
         default=None,
@@ -208,7 +236,8 @@ PROGRAM_KEYS = (
     "environment",
     "empty_scratch",
 )
-ENVIRONMENT_KEYS = ("policy", "columns", "step", "noisy", "after_end", "files")
+RECORDED_KEYS = ("columns", "step", "files")
+"""Of a system that is stepped by us."""
 KINDS: Mapping[str, Kind] = MappingProxyType(
     {
         "name": Kind("an installed system", 'name = "...", an installed system'),
@@ -223,17 +252,20 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "gymnasium": Kind(
             "an environment of Gymnasium",
             'gymnasium = "CartPole-v1"',
-            ENVIRONMENT_KEYS,
+            (*RECORDED_KEYS, "policy", "noisy", "after_end"),
             {"policy": '"policy.py:act", a function that returns an action for an observation'},
             described=True,
         ),
+        "fmu": Kind("an FMU", 'fmu = "NAME.fmu"', (*RECORDED_KEYS, "interface", "noisy", "after_end"), described=True),
+        "mjcf": Kind("a model for MuJoCo", 'mjcf = "NAME.xml"', (*RECORDED_KEYS, "controller"), described=True),
     }
 )
 """By the key of `[system]` that names the system."""
 
 
 def _kinds_with(key: str) -> str:
-    return " and ".join(each.words for each in KINDS.values() if key in each.keys)
+    *others, last = (each.words for each in KINDS.values() if key in each.keys)
+    return f"{', '.join(others)} and {last}" if others else last
 
 
 class Range(Distributed):

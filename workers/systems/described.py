@@ -1,11 +1,14 @@
 """The parts of a specification that every system takes from its campaign file."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+from ...schemas.errors import DefinitionError, SimulationError
 from ...schemas.file.config import CampaignConfig
 from ...schemas.system import Option, OptionValue, Parameter
+from ..faults import NOT_OF_SYSTEMS, fault_text
 
 
 def space_parameters(config: CampaignConfig) -> Iterator[Parameter]:
@@ -31,3 +34,66 @@ def name_of(path: str, otherwise: str) -> str:
     """
     found = re.sub("[^a-z0-9]+", "-", Path(path).stem.lower()).strip("-")
     return found if re.match("[a-z]", found) else f"{otherwise}-{found}".strip("-")
+
+
+def own_name(name: str) -> str:
+    """Return the name here of a variable of others.
+
+    >>> own_name("tank[1].Level"), own_name("der(h)")
+    ('tank_1_level', 'der_h')
+    """
+    return re.sub("[^a-z0-9]+", "_", name.lower()).strip("_")
+
+
+def steps_within(horizon: float, step: float, name: str) -> int:
+    """Return the steps of a horizon; a last one that a rounding has cut off is one.
+
+    Raises:
+        SimulationError: there is none.
+
+    >>> steps_within(0.3, 0.1, "pole")
+    3
+
+    """
+    steps = int(horizon / step * (1.0 + 1e-12) + 1e-9)
+    if not steps:
+        raise SimulationError(f"a horizon of {horizon:g} s is less than a step of {name}, {step:g} s")
+    return steps
+
+
+def check_horizon(horizon: float | None, step: float, where: str) -> None:
+    """Refuse a horizon without a step."""
+    if horizon is not None and horizon < step * (1.0 - 1e-9):
+        raise DefinitionError(f"{where}: horizon: {horizon:g} s is less than one step of the system, {step:g} s")
+
+
+@contextmanager
+def blaming(place: str, simulated: str | None = None) -> Iterator[None]:
+    """Turn what the code of others raises into an error at a place; what we say of a rollout stands at another one."""
+    try:
+        yield
+    except (DefinitionError, *NOT_OF_SYSTEMS):
+        raise
+    except SimulationError as error:
+        raise DefinitionError(f"{simulated or place}: {error}") from None
+    except BaseException as error:  # noqa: BLE001  (any: untrusted code)
+        raise DefinitionError(f"{place}: {fault_text(error)}") from None
+
+
+def fixed_option(name: str, value: OptionValue) -> Option:
+    """Return an option that has the value of the file alone: the environment is made with it, once."""
+    ends = {} if isinstance(value, str) else {"low": value, "high": value}
+    return option_of(name, value).model_copy(update=ends)
+
+
+def check_whole(names: Iterable[str], config: CampaignConfig, where: str, owner: str) -> None:
+    """Refuse a range of numbers for an integer: each of them would stand for the nearest one."""
+    for name in names:
+        box = config.space[name] if isinstance(config.space, dict) else None
+        if box is None or all(each is not None and float(each).is_integer() for each in (box.low, box.step)):
+            continue
+        if box.choices is None or not all(each.is_integer() for each in box.choices):
+            raise DefinitionError(
+                f"{where}: space: {name} is an integer of the {owner}; write {name} = {{ low = {box.low:.0f}, "
+                f"high = {box.high:.0f}, step = 1 }}, or its `choices`"
+            )

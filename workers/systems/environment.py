@@ -11,8 +11,7 @@ the environment, before and after its reset; else a key of its `config`, or an o
 """
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
 from numbers import Real
 from pathlib import Path
 from typing import Any, SupportsFloat, TypeGuard
@@ -21,12 +20,12 @@ import numpy as np
 
 from ...schemas.errors import DefinitionError, SimulationError, meant, shortened
 from ...schemas.file.config import CampaignConfig
-from ...schemas.system import ENDED, Option, OptionValue, SystemSpec, Variant, timed_columns
+from ...schemas.system import ENDED, OptionValue, SystemSpec, Variant, timed_columns
 from ...schemas.trajectory.trajectory import Trajectory, Visual
-from ..faults import NOT_OF_SYSTEMS, fault_text
+from ..faults import fault_text
 from .base import Floats, Progress, SystemUnderTest, checked_options
 from .declared import DeclaredFiles, WithSpec, declared_files
-from .described import name_of, option_of, space_parameters
+from .described import blaming, check_horizon, check_whole, fixed_option, name_of, space_parameters, steps_within
 from .files import code_beside, import_beside
 from .fingerprint import versions_of
 from .policy import Policy, load_policy
@@ -190,12 +189,7 @@ class EnvironmentSystem(SystemUnderTest):
 
         """
         checked_options(self._spec, x, variant=variant, horizon=horizon, options=options)
-        # A last step that a rounding has cut off is one.
-        steps = int(horizon / self._step * (1.0 + 1e-12) + 1e-9)
-        if not steps:
-            raise SimulationError(
-                f"a horizon of {horizon:g} s is less than a step of {self._spec.name}, {self._step:g} s"
-            )
+        steps = steps_within(horizon, self._step, self._spec.name)
         names = (each.name for each in self._spec.parameters)
         episode = self._environment.episode(dict(zip(names, map(float, x), strict=True)), seed, steps)
         rows = list[list[Any]]()
@@ -248,21 +242,22 @@ def load_environment(file: Path, config: CampaignConfig) -> SystemUnderTest:
     except DefinitionError as error:
         raise DefinitionError(f"{where}: system.policy: {error}") from None
     given = {name: _argument(value) for name, value in choice.options.items()}
-    with _blaming(f"{where}: system.gymnasium: {environment_id}"):
+    with blaming(f"{where}: system.gymnasium: {environment_id}"):
         import_beside(environment_id.rpartition(":")[0], folder)
         # Without checks that print.
         env = gymnasium.make(environment_id, disable_env_checker=True, **given)
     parameters = tuple(space_parameters(config))
     environment = Environment(env, policy, [each.name for each in parameters], where)
-    _check_whole(environment.whole, config, where)
+    check_whole(environment.whole, config, where, "environment")
     step = choice.step or _step_of(env.unwrapped)
     if step is None:
         raise DefinitionError(
             f"{where}: system.step: {environment_id} does not say how long a step is; give its s, or step = 1.0 to "
             "count steps"
         )
+    check_horizon(config.horizon, step, where)
     lows, highs = ({each.name: getattr(each, end) for each in parameters} for end in ("low", "high"))
-    with _blaming(f"{where}: {environment_id} with {choice.policy}", f"{where}: system.policy"):
+    with blaming(f"{where}: {environment_id} with {choice.policy}", f"{where}: system.policy"):
         environment.check_effect(lows, highs)
         columns = _columns(environment, lows, choice.columns, where)
     if choice.after_end is None:  # stepped on beyond the end of an episode, `ended` is a column of its own
@@ -277,7 +272,7 @@ def load_environment(file: Path, config: CampaignConfig) -> SystemUnderTest:
             doc=f"{environment_id} of Gymnasium, with {choice.policy}",
             parameters=parameters,
             columns=timed_columns({name: unit for name, (_, unit) in columns.items()}, choice.after_end),
-            options=tuple(_option(name, value) for name, value in sorted(choice.options.items())),
+            options=tuple(fixed_option(name, value) for name, value in sorted(choice.options.items())),
             variants=("nominal",),
             noisy=() if choice.noisy in {False, ()} else ("nominal",),
             max_horizon=step * MAX_STEPS,
@@ -290,38 +285,6 @@ def load_environment(file: Path, config: CampaignConfig) -> SystemUnderTest:
     except DefinitionError as error:
         raise DefinitionError(f"{where}: system: {error}") from None
     return WithSpec(EnvironmentSystem(spec, environment, step, [name for name, _ in columns.values()]), files)
-
-
-@contextmanager
-def _blaming(place: str, simulated: str | None = None) -> Iterator[None]:
-    """Turn what the code of others raises into an error at a place; what we say of a rollout stands at another one."""
-    try:
-        yield
-    except (DefinitionError, *NOT_OF_SYSTEMS):
-        raise
-    except SimulationError as error:
-        raise DefinitionError(f"{simulated or place}: {error}") from None
-    except BaseException as error:  # noqa: BLE001  (any: untrusted code)
-        raise DefinitionError(f"{place}: {fault_text(error)}") from None
-
-
-def _option(name: str, value: OptionValue) -> Option:
-    """Return an option that has the value of the file alone: the environment is made with it, once."""
-    ends = {} if isinstance(value, str) else {"low": value, "high": value}
-    return option_of(name, value).model_copy(update=ends)
-
-
-def _check_whole(names: Iterable[str], config: CampaignConfig, where: str) -> None:
-    """Refuse a range of numbers for an integer: each of them would stand for the nearest one."""
-    for name in names:
-        box = config.space[name] if isinstance(config.space, dict) else None
-        if box is None or all(each is not None and float(each).is_integer() for each in (box.low, box.step)):
-            continue
-        if box.choices is None or not all(each.is_integer() for each in box.choices):
-            raise DefinitionError(
-                f"{where}: space: {name} is an integer of the environment; write {name} = {{ low = {box.low:.0f}, "
-                f"high = {box.high:.0f}, step = 1 }}, or its `choices`"
-            )
 
 
 def _columns(

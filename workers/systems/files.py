@@ -45,6 +45,14 @@ def load_reference(reference: str) -> SystemUnderTest:
             from .environment import load_environment  # noqa: PLC0415  (needs an extra)
 
             return load_environment(path, config)
+        case "fmu":
+            from .fmu import load_fmu  # noqa: PLC0415  (needs an extra)
+
+            return load_fmu(path, config)
+        case "mjcf":
+            from .mjcf import load_mjcf  # noqa: PLC0415  (needs an extra)
+
+            return load_mjcf(path, config)
         case "python":
             return load_file(str(path.absolute().parent / (config.system.python or "")), config.system, path)
     raise DefinitionError(f"{path}: its system {config.system.name!r} is installed, and needs no reference")

@@ -1,4 +1,4 @@
-"""The policies of environments: a function or class in a file, or a model of Stable-Baselines3."""
+"""The policies of environments, and controllers: a function or class in a file, or a model of Stable-Baselines3."""
 
 import importlib
 import importlib.metadata
@@ -14,25 +14,25 @@ from .fingerprint import file_sha256
 ALGORITHMS = ("stable_baselines3", "sb3_contrib")
 """Packages in which an algorithm is looked for."""
 
-Act = Callable[[Any], Any]
+Act = Callable[..., Any]
 
 
 class Policy(NamedTuple):
     """What acts in an environment, and what its identity consists of."""
 
     act: Act
-    """From an observation to an action."""
+    """From an observation to an action, or from a model and its data."""
     reset: Callable[[], object] | None
     """Called before each rollout, of a policy with a memory."""
     start: Callable[..., Any] | None
-    """The function `reset(env, *, seed, NAME, ...)` of its file, which starts an episode."""
+    """The function `reset` of its file, which starts a rollout: of an environment `reset(env, *, seed, NAME, ...)`."""
     path: Path
     digests: dict[str, str]
     versions: dict[str, str]
 
 
-def load_policy(reference: str, folder: Path) -> Policy:
-    """Return the policy FILE.py:NAME or FILE.zip:ALGORITHM, relative to `folder`.
+def load_policy(reference: str, folder: Path, arguments: str = "observation") -> Policy:
+    """Return the policy FILE.py:NAME or FILE.zip:ALGORITHM, relative to `folder`; `arguments` are those of a function.
 
     Raises:
         DefinitionError: it is not there, cannot be loaded, or cannot be called.
@@ -40,16 +40,16 @@ def load_policy(reference: str, folder: Path) -> Policy:
     """
     text, _, name = reference.rpartition(":")
     path = folder / text
-    return _of_code(path, name) if path.suffix == ".py" else _of_model(path, text, name)
+    return _of_code(path, name, arguments) if path.suffix == ".py" else _of_model(path, text, name)
 
 
-def _of_code(path: Path, name: str) -> Policy:
+def _of_code(path: Path, name: str, arguments: str) -> Policy:
     code = loaded_code(path)
     found = getattr(code.module, name, None)
     if inspect.isclass(found):
         found = found()
     if not callable(found):
-        raise DefinitionError(f"{path}: there is no function {name!r} in it; write def {name}(observation): ...")
+        raise DefinitionError(f"{path}: there is no function {name!r} in it; write def {name}({arguments}): ...")
     start = getattr(code.module, "reset", None)
     return Policy(found, getattr(found, "reset", None), start, path, code.digests, code.versions)
 

@@ -1,6 +1,5 @@
 """The example with MuJoCo, as it is shipped: the same bytes whatever happens, and the result that its page shows."""
 
-import importlib.util
 import json
 import re
 import shutil
@@ -20,10 +19,6 @@ for start, seed in (((0.3, 0.8), 1), ((0.5, 2.0), 2), ((0.3, 0.8), 1)):
     found = system.rollout(start, variant="nominal", seed=seed, horizon=3.0, options={}, progress=lambda step: None)
     print(found.samples.tobytes().hex())
 """
-
-pytestmark = [
-    pytest.mark.skipif(importlib.util.find_spec("mujoco") is None, reason="MuJoCo is not installed: make mujoco"),
-]
 
 
 @pytest.fixture(scope="module")

@@ -38,13 +38,7 @@ def test_the_cars_fail_rarely(started: Processes, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "required"),
     [
-        pytest.param(
-            "swing",
-            1e-3,
-            marks=pytest.mark.skipif(
-                importlib.util.find_spec("mujoco") is None, reason="MuJoCo is not installed: make mujoco"
-            ),
-        ),
+        ("swing", 1e-3),
         pytest.param(
             "satellite",
             1e-4,

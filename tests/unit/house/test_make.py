@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[3]
 
 @pytest.mark.integration
 @pytest.mark.skipif(shutil.which("make") is None, reason="there is no make")
-@pytest.mark.parametrize("target", ["setup", "mujoco", "lint"])
+@pytest.mark.parametrize("target", ["setup", "jax", "lint"])
 def test_a_missing_python_is_named(target: str, tmp_path: Path) -> None:
     command = ("make", target, "PYTHON=python-of-nobody", f"VENV={tmp_path / 'venv'}")
     ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)

@@ -1,0 +1,403 @@
+"""Models for MuJoCo as systems under test: positions, velocities and actuators are parameters, sensors are columns.
+
+| symbol | name         | meaning                                                       | shape     | unit    |
+|--------|--------------|---------------------------------------------------------------|-----------|---------|
+| q      | `qpos`       | positions of the joints                                       | (nq,)     | m, rad  |
+| v      | `qvel`       | velocities of the joints                                      | (nv,)     | m/s, rad/s |
+| u      | `ctrl`       | values of the actuators, held for one `step`                  | (nu,)     | of each |
+| h      | `step`       | time between two samples, a multiple of the model's time step | ()        | s       |
+"""
+
+import copy
+import inspect
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...schemas.errors import DefinitionError, SimulationError, meant, shortened
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.space import SystemChoice
+from ...schemas.system import OptionValue, SystemSpec, Variant, timed_columns
+from ...schemas.trajectory.input_signal import InputSignal
+from ...schemas.trajectory.trajectory import Trajectory, Visual
+from .base import Progress, SystemUnderTest, checked_options
+from .declared import DeclaredFiles, WithSpec, declared_files
+from .described import blaming, check_horizon, fixed_option, name_of, own_name, space_parameters, steps_within
+from .files import code_beside
+from .fingerprint import versions_of
+from .policy import Policy, load_policy
+
+MAX_STEPS = 10_000_000
+SEED_BITS = 53
+KEYFRAME = "keyframe"
+MOST_NAMED = 30
+FORMS = {
+    "FREE": (("m", "m", "m", "", "", "", ""), ("m/s", "m/s", "m/s", "rad/s", "rad/s", "rad/s")),
+    "BALL": (("", "", "", ""), ("rad/s", "rad/s", "rad/s")),
+    "SLIDE": (("m",), ("m/s",)),
+    "HINGE": (("rad",), ("rad/s",)),
+}
+"""Units of the positions and velocities of a joint, by its type."""
+SENSOR_UNITS = {
+    "TOUCH": "N",
+    "ACCELEROMETER": "m/s2",
+    "VELOCIMETER": "m/s",
+    "GYRO": "rad/s",
+    "FORCE": "N",
+    "TORQUE": "N m",
+    "RANGEFINDER": "m",
+    "TENDONPOS": "m",
+    "TENDONVEL": "m/s",
+    "BALLANGVEL": "rad/s",
+    "FRAMEPOS": "m",
+    "FRAMELINVEL": "m/s",
+    "FRAMEANGVEL": "rad/s",
+    "FRAMELINACC": "m/s2",
+    "FRAMEANGACC": "rad/s2",
+    "SUBTREECOM": "m",
+    "SUBTREELINVEL": "m/s",
+    "GEOMDIST": "m",
+    "GEOMFROMTO": "m",
+    "E_POTENTIAL": "J",
+    "E_KINETIC": "J",
+    "CLOCK": "s",
+}
+"""By the type of a sensor; those of `jointpos` and `jointvel` are those of the joint."""
+WARNINGS: list[str] = []
+"""What MuJoCo warns of, in this process and since the beginning of a rollout."""
+
+
+class Place(NamedTuple):
+    """A number of a simulation: where it stands in an array of `MjData`, and its unit."""
+
+    array: str
+    offset: int
+    unit: str
+
+
+class Model(NamedTuple):
+    """A model that was read, and how it is simulated."""
+
+    mujoco: Any
+    model: Any
+    places: Mapping[str, Place]
+    """All numbers of it that have a name."""
+    keyframe: int
+    """-1: none."""
+    substeps: int
+    recorded: Sequence[str]
+    policy: Policy | None
+    takes_seed: bool
+
+
+class MjcfSystem(SystemUnderTest):
+    """A model for MuJoCo, with a controller or without."""
+
+    def __init__(self, spec: SystemSpec, model: Model) -> None:
+        self._spec, self._model = spec, model
+
+    @property
+    def spec(self) -> SystemSpec:
+        """The specification that follows from the model, `[system]` and `[space]`."""
+        return self._spec
+
+    def rollout(
+        self,
+        x: Sequence[Any],
+        *,
+        variant: Variant,
+        seed: int,
+        horizon: float,
+        options: Mapping[str, OptionValue],
+        progress: Progress,
+    ) -> Trajectory:
+        """Simulate the model from `x`.
+
+        Raises:
+            SimulationError: an argument is outside the spec, the controller returns no values of the actuators, or
+                MuJoCo warns, as of a simulation that is not stable.
+            Cancelled: raised by `progress`.
+
+        """
+        checked_options(self._spec, x, variant=variant, horizon=horizon, options=options)
+        step = self._model.substeps * self._model.model.opt.timestep
+        steps = steps_within(horizon, step, self._spec.name)
+        start = dict(zip((each.name for each in self._spec.parameters), x, strict=True))
+        WARNINGS.clear()
+        rows = np.empty((steps + 1, 1 + len(self._model.recorded)))
+        rows[:, 0] = step * np.arange(steps + 1)
+        for k, row in enumerate(self._simulated(start, seed, rows[:, 0])):
+            rows[k, 1:] = row
+            progress(k)
+            if WARNINGS:  # it has put the model back to its first state, and would go on from there
+                raise SimulationError(f"MuJoCo: {shortened(WARNINGS[0])} (after t = {rows[k, 0]:g} s)")
+        return Trajectory(self._spec.own_columns, rows)
+
+    def visual(self, trajectory: Trajectory) -> Visual:  # noqa: ARG002  (the same for all)
+        """Return a plot of every column."""
+        return Visual(plots=True)
+
+    def _simulated(self, start: Mapping[str, Any], seed: int, times: Any) -> Iterator[list[float]]:
+        """Yield the recorded numbers at each of the times."""
+        mujoco, policy = self._model.mujoco, self._model.policy
+        # A function of the user may change the model, too.
+        model = copy.copy(self._model.model) if policy is not None else self._model.model
+        data = mujoco.MjData(model)
+        signals = self._begun(model, data, start, seed)
+        control = None if policy is None else policy.act
+        if policy is not None and policy.reset is not None:
+            policy.reset()
+        in_halves = model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4
+        arrays = [(getattr(data, place.array), place.offset) for place in map(self._place, self._model.recorded)]
+        last = len(times) - 1
+        for k, t in enumerate(times.tolist()):
+            for index, signal in signals.items():
+                data.ctrl[index] = signal(t)
+            if control is not None:
+                # It sees positions, velocities and their sensors of this time.
+                (mujoco.mj_step1 if in_halves else mujoco.mj_forward)(model, data)
+                self._apply(control(model, data), data)
+            state = [None if array is data.sensordata else array[index] for array, index in arrays]
+            if k == last:
+                mujoco.mj_forward(model, data)
+            elif control is not None and in_halves:
+                mujoco.mj_step2(model, data)
+            else:
+                mujoco.mj_step(model, data)
+            # A step calculates the sensors of its beginning.
+            found = zip(state, arrays, strict=True)
+            yield [array[index] if value is None else value for value, (array, index) in found]
+            if k < last and self._model.substeps > 1:
+                mujoco.mj_step(model, data, self._model.substeps - 1)
+
+    def _place(self, name: str) -> Place:
+        return self._model.places[name]
+
+    def _begun(self, model: Any, data: Any, start: Mapping[str, Any], seed: int) -> dict[int, InputSignal]:
+        """Set the first state; return the signals of the actuators, by their places."""
+        mujoco, policy = self._model.mujoco, self._model.policy
+        if self._model.keyframe >= 0:
+            mujoco.mj_resetDataKeyframe(model, data, self._model.keyframe)
+        if policy is not None and policy.start is not None:
+            given = {name: value if isinstance(value, InputSignal) else float(value) for name, value in start.items()}
+            policy.start(model, data, **given, **({"seed": seed} if self._model.takes_seed else {}))
+            return {}
+        signals = {}
+        for name, value in start.items():
+            place = self._place(name)
+            if isinstance(value, InputSignal):
+                signals[place.offset] = value
+            else:
+                getattr(data, place.array)[place.offset] = value
+        return signals
+
+    def _apply(self, returned: Any, data: Any) -> None:
+        """Set what a controller returned; None says that it has set the values itself."""
+        policy = self._model.policy
+        assert policy is not None, "of a controller"
+        if returned is not None:
+            values = np.asarray(returned)
+            if values.dtype.kind not in "fiub" or values.size != data.ctrl.size:
+                raise SimulationError(
+                    f"{policy.path.name} returned {shortened(repr(returned))}, and there are {data.ctrl.size} actuators"
+                )
+            data.ctrl[:] = values.ravel()
+        if not np.isfinite(data.ctrl).all():
+            raise SimulationError(f"{policy.path.name} gives an actuator {shortened(repr(data.ctrl.tolist()))}")
+
+
+def load_mjcf(file: Path, config: CampaignConfig) -> SystemUnderTest:
+    """Return the model for MuJoCo of a campaign, read from `file`.
+
+    Raises:
+        DefinitionError: MuJoCo is not installed, it cannot read the model, or a name in the file is not in it.
+
+    """
+    choice, folder, where = config.system, file.absolute().parent, str(file)
+    assert choice.mjcf is not None, "of a model"
+    path = folder / choice.mjcf
+    try:
+        import mujoco  # noqa: PLC0415  (an extra)
+    except ImportError:
+        raise DefinitionError(f"{where}: system.mjcf: pip install 'perfbound[mujoco]'") from None
+    place = f"{where}: system.mjcf: {choice.mjcf}"
+    if not path.is_file():
+        raise DefinitionError(f"{place}: there is no such file in {folder}")
+    # Not into a file beside the campaign, as it does by itself.
+    mujoco.set_mju_user_warning(WARNINGS.append)
+    with blaming(place):
+        model = mujoco.MjModel.from_xml_path(str(path))
+        # All that it consists of: included models, meshes, textures.
+        used = [Path(each) for each in mujoco.mju_getXMLDependencies(str(path))]
+    policy = _controller(choice, folder, where)
+    places = _places(mujoco, model)
+    parameters = tuple(
+        each.model_copy(update={"unit": each.unit or (places[each.name].unit if each.name in places else "")})
+        for each in space_parameters(config)
+    )
+    names = [each.name for each in parameters]
+    takes_seed = _check_start(policy, names, places, {each.name for each in parameters if each.signal}, where)
+    substeps = _substeps(choice.step, float(model.opt.timestep), where)
+    step = substeps * float(model.opt.timestep)
+    check_horizon(config.horizon, step, where)
+    columns = _columns(places, choice.columns, where)
+    keyframe = _keyframe(model, choice, where)
+    try:
+        files = DeclaredFiles(
+            declared_files(
+                [str(each.relative_to(folder) if each.is_relative_to(folder) else each) for each in used], folder
+            )
+            | declared_files(choice.files or (), folder)
+        )
+        spec = SystemSpec(
+            name=name_of(choice.mjcf, "model"),
+            doc=f"{choice.mjcf} in MuJoCo with a time step of {model.opt.timestep:g} s, recorded every {step:g} s"
+            + (f", with {choice.controller}" if choice.controller else ""),
+            parameters=parameters,
+            columns=timed_columns(columns),
+            options=tuple(fixed_option(name, value) for name, value in sorted(choice.options.items())),
+            variants=("nominal",),
+            noisy=("nominal",) if takes_seed else (),
+            max_horizon=step * MAX_STEPS,
+            default_horizon=config.horizon,
+            seed_bits=SEED_BITS,
+            code=(policy.digests | code_beside(folder) if policy else {}) | files.digests,
+            versions=(policy.versions if policy else {}) | versions_of((), {"mujoco"}),
+        )
+    except DefinitionError as error:
+        raise DefinitionError(f"{where}: system: {error}") from None
+    found = Model(mujoco, model, places, keyframe, substeps, list(columns), policy, takes_seed)
+    return WithSpec(MjcfSystem(spec, found), files)
+
+
+def _controller(choice: SystemChoice, folder: Path, where: str) -> Policy | None:
+    if choice.controller is None:
+        return None
+    try:
+        return load_policy(choice.controller, folder, "model, data")
+    except DefinitionError as error:
+        raise DefinitionError(f"{where}: system.controller: {error}") from None
+
+
+def _places(mujoco: Any, model: Any) -> dict[str, Place]:
+    """Return the numbers of a model that are parameters or columns, by their names."""
+    places = dict[str, Place]()
+    for k in range(model.njnt):
+        joint = model.joint(k)
+        positions, velocities = FORMS[_kind(mujoco.mjtJoint, model.jnt_type[k])]
+        for array, first, units in (
+            ("qpos", int(model.jnt_qposadr[k]), positions),
+            ("qvel", int(model.jnt_dofadr[k]), velocities),
+        ):
+            places |= _named(array, joint.name, first, units)
+    for k in range(model.nu):
+        places |= _named("ctrl", model.actuator(k).name, k, ("",))
+    for k in range(model.nsensor):
+        units = (_sensor_unit(mujoco, model, k),) * int(model.sensor_dim[k])
+        first = int(model.sensor_adr[k])
+        name = own_name(model.sensor(k).name) or f"sensor_{k}"
+        for i, unit in enumerate(units):
+            places[name if len(units) == 1 else f"{name}_{i}"] = Place("sensordata", first + i, unit)
+    return places
+
+
+def _named(array: str, name: str, first: int, units: Sequence[str]) -> Iterator[tuple[str, Place]]:
+    """Yield the numbers of a joint or an actuator: by its name if it has one, and by their places in the array."""
+    for i, unit in enumerate(units):
+        place = Place(array, first + i, unit)
+        if own := own_name(name):
+            yield f"{array}_{own}" + (f"_{i}" if len(units) > 1 else ""), place
+        yield f"{array}_{first + i}", place
+
+
+def _kind(enumeration: Any, value: int) -> str:
+    """Return the name of a type of MuJoCo, as `HINGE` of `mjJNT_HINGE`."""
+    return str(enumeration(value).name).partition("_")[2]
+
+
+def _sensor_unit(mujoco: Any, model: Any, k: int) -> str:
+    kind = _kind(mujoco.mjtSensor, model.sensor_type[k])
+    if kind in {"JOINTPOS", "JOINTVEL"}:
+        return FORMS[_kind(mujoco.mjtJoint, model.jnt_type[model.sensor_objid[k]])][kind == "JOINTVEL"][0]
+    return SENSOR_UNITS.get(kind, "")
+
+
+def _check_start(
+    policy: Policy | None, names: Sequence[str], places: Mapping[str, Place], signals: set[str], where: str
+) -> bool:
+    """Refuse a parameter that is set nowhere; return whether the function `reset` takes a seed."""
+    if policy is not None and policy.start is not None:
+        taken = inspect.signature(policy.start).parameters
+        every = any(each.kind is inspect.Parameter.VAR_KEYWORD for each in taken.values())
+        if not every and (missing := next((name for name in names if name not in taken), None)):
+            raise DefinitionError(
+                f"{where}: space: the function reset in {policy.path.name} has no argument {missing!r}; write "
+                f"def reset(model, data, *, {', '.join(names)}): ..."
+            )
+        return "seed" in taken
+    settable = [name for name, place in places.items() if place.array != "sensordata"]
+    for name in names:
+        if name not in settable:
+            hint = meant(name, settable)
+            file = policy.path.name if policy else "the file of a controller"
+            raise DefinitionError(
+                f"{where}: space: {hint}{name!r} is none of {_listed(settable)}; set others by a function "
+                f"reset(model, data, *, {name}) in {file}"
+            )
+        if name in signals and places[name].array != "ctrl":
+            raise DefinitionError(f"{where}: space: {name} is no actuator, and no input over time")
+    return False
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:MOST_NAMED]) + (", ..." if len(names) > MOST_NAMED else "")
+
+
+def _substeps(step: float | None, timestep: float, where: str) -> int:
+    if step is None:
+        return 1
+    substeps = round(step / timestep)
+    if not substeps or abs(substeps * timestep - step) > 1e-9 * step:
+        raise DefinitionError(
+            f"{where}: system.step: {step:g} s is no multiple of the model's time step, {timestep:g} s"
+        )
+    return substeps
+
+
+def _columns(places: Mapping[str, Place], chosen: Mapping[str, str] | None, where: str) -> dict[str, str]:
+    """Return the own columns and their units."""
+    if chosen is None:
+        sensors = {name: each.unit for name, each in places.items() if each.array == "sensordata"}
+        # Without sensors, each number of a joint once: its first name.
+        joints: dict[tuple[str, int], str] = {}
+        for name, each in places.items():
+            if each.array in {"qpos", "qvel"}:
+                joints.setdefault((each.array, each.offset), name)
+        return sensors or {name: places[name].unit for name in joints.values()}
+    for name, unit in chosen.items():
+        if name not in places:
+            raise DefinitionError(
+                f"{where}: system.columns: {meant(name, places)}{name!r} is none of {_listed(list(places))}; add a "
+                "sensor to the model for others"
+            )
+        if unit and places[name].unit and unit != places[name].unit:
+            raise DefinitionError(f"{where}: system.columns: {name} is in {places[name].unit}, and not in {unit}")
+    return {name: unit or places[name].unit for name, unit in chosen.items()}
+
+
+def _keyframe(model: Any, choice: SystemChoice, where: str) -> int:
+    """Return the place of the keyframe that the campaign file names, or -1."""
+    for name in choice.options:
+        if name != KEYFRAME:
+            hint = meant(name, [*SystemChoice.model_fields, KEYFRAME])
+            raise DefinitionError(f"{where}: system: {hint}a model for MuJoCo has no option {name!r}, only {KEYFRAME}")
+    if KEYFRAME not in choice.options:
+        return -1
+    named = choice.options[KEYFRAME]
+    known = [model.key(k).name for k in range(model.nkey)]
+    if named not in known:
+        listed = f"none of {', '.join(known)}" if known else "no keyframe: the model has none"
+        raise DefinitionError(f"{where}: system.{KEYFRAME}: {named!r} is {listed}")
+    return known.index(named)
