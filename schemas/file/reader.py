@@ -140,11 +140,12 @@ def validated(found: dict[str, Any], table: Mapping[str, Any], source: str) -> C
         one_problem = leaves_out_problems(table)
         listed = list_fault(found, one_problem)
         lines = faults(error, found, one_problem) if listed is None else [listed]
-        if not OF_PROBLEM & table.keys() and is_description(table):
+        misses = [line for line in lines if ": this key is required" in line]
+        if misses and not OF_PROBLEM & table.keys() and is_description(table):
             first, *others = lines
             hint = f"; this file describes a system alone: perfbound init {shlex.quote(source)} makes a campaign of it"
             # What a campaign needs in addition is what that command adds.
-            lines = [first + hint, *(line for line in others if ": this key is required" not in line)]
+            lines = [first + hint, *(line for line in others if line not in misses)]
         elif any(line.endswith("rkhs_norm: this key is required: a number > 0") for line in lines):
             command = f"perfbound calibrate {shlex.quote(source)}"
             lines = [*lines, f"a draft without constants of a kernel: `{command}` proposes them"]

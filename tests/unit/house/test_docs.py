@@ -105,7 +105,7 @@ def test_the_function_of_the_docs_is_the_shipped_example() -> None:
         assert f"```{kind}\n{(example / name).read_text()}```" in page, name
 
 
-@pytest.mark.parametrize("page", ["own-system", "stl", "constants"])
+@pytest.mark.parametrize("page", ["own-system", "simulators", "stl", "constants"])
 def test_parts_of_campaign_files_are_allowed(page: str) -> None:
     """Each part is read with a system that has its parameters and columns."""
     base: dict[str, Any] = {"system": {"name": "s"}, "clip": [-1, 1], "horizon": 15, "max_tests": 59}
