@@ -31,6 +31,8 @@ def compared(system: SystemUnderTest, request: BatchRequest) -> Compared:
 
     def simulated(chosen: Sequence[int], starts: Sequence[tuple[float, ...]] = request.x) -> Batch:
         parts = {"x": tuple(starts[k] for k in chosen), "seeds": tuple(request.seeds[k] for k in chosen)}
+        if request.disturbances:
+            parts["disturbances"] = tuple(request.disturbances[k] for k in chosen)
         return simulated_batch(system, request.model_copy(update=parts), lambda _: None)
 
     # The first call compiles what later ones find compiled, also for a batch of one.

@@ -58,3 +58,18 @@ def test_the_largest_difference_is_named() -> None:
 
 def test_a_sound_system_has_no_difference() -> None:
     assert compared(many, batch_request(many.spec, [(1.0,), (2.0,), (0.5,)])).differences == ()
+
+
+def test_every_rollout_keeps_its_disturbances() -> None:
+    @pb.system(
+        parameters={"a": pb.Parameter(0, 10)},
+        columns={"y": ""},
+        disturbances={"b": pb.Normal(0, 1)},
+        vectorised=True,
+    )
+    def moved(a: Any, *, b: Any) -> Any:
+        return a + b
+
+    request = batch_request(moved.spec, [(1.0,), (2.0,), (0.5,)])
+    request = request.model_copy(update={"disturbances": ((0.1,), (0.2,), (0.3,))})
+    assert compared(moved, request).differences == ()
