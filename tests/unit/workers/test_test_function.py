@@ -87,7 +87,7 @@ def test_the_registry_names_what_is_there() -> None:
     assert {"segway", "test-function"} <= set(systems.available())
     assert systems.load_system("test-function").spec.parameters == TestFunctionSystem().spec.parameters
     assert systems.load_system("test-function") is systems.load_system("test-function")
-    with pytest.raises(UnknownSystemError, match=r"'unicycle'.*segway, test-function"):
+    with pytest.raises(UnknownSystemError, match=r"'unicycle'.*segway, segway-mujoco, test-function"):
         systems.load_system("unicycle")
 
 
