@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from .ids import RolloutId
 from .rollout import RolloutRequest, WithinBatch
-from .system import SCORED, OptionValue, SystemSpec
+from .system import SCORED, OptionValue, SystemSpec, Variant
 
 if TYPE_CHECKING:
     from .batch import BatchRequest
@@ -51,15 +51,16 @@ class RequestTemplate:
 
     def common(self, rollout: RolloutId) -> dict[str, Any]:
         """Return the fields that a request for a rollout, and one for a batch that begins with it, share."""
+        variant: Variant = "nominal" if rollout.variant == "nominal" else "true"
         return {
             "campaign": self.campaign,
             "config_sha256": self.config_sha256,
             "problem": rollout.problem,
             "test": rollout.test,
-            "variant": "nominal" if rollout.variant == "nominal" else "true",
+            "variant": variant,
             "replicate": rollout.replicate,
             "system": self.spec.name,
-            "spec_sha256": self.spec_sha256,
+            "spec_sha256": self.spec.simulators.get(variant, self.spec_sha256),
             "options": dict(self.options),
             "horizon": self.horizon,
             "signals": self.spec.signals,
@@ -73,7 +74,7 @@ class RequestTemplate:
         Those that are parameters are given by the start, the others drawn from the seed; in a variant without noise
         each has its median.
         """
-        if self.laws is None:
+        if self.laws is None or variant in self.spec.undisturbed:
             return ()
         if variant not in (self.spec.disturbed or self.spec.noisy):
             return (self.laws.middles,) * len(seeds)

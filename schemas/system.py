@@ -162,6 +162,17 @@ class SystemSpec(Model, metaclass=Written):
         "of its name",
     )
 
+    simulators: dict[Variant, str] = Field(
+        default_factory=dict,
+        exclude_if=lambda simulators: not simulators,
+        description="of two simulators: the identity of that of each variant",
+    )
+    undisturbed: tuple[Variant, ...] = Field(
+        default=(),
+        exclude_if=lambda variants: not variants,
+        description="of two simulators: the variant whose one takes no disturbances",
+    )
+
     signals: tuple[SignalShape, ...] = Field(
         default=(),
         exclude_if=lambda signals: not signals,

@@ -14,6 +14,7 @@ from ..schemas.trajectory.input_signal import start_values
 from ..schemas.trajectory.trajectory import File, Trajectory, encode
 from .systems import load_system
 from .systems.base import Progress, SystemUnderTest, Vectorised, disturbances_of
+from .systems.pair import TwoSimulators
 
 
 def run_request(request: RolloutRequest, progress: Progress) -> bytes:
@@ -29,7 +30,7 @@ def run_request(request: RolloutRequest, progress: Progress) -> bytes:
 
 
 def requested_system(request: RolloutRequest | BatchRequest) -> SystemUnderTest:
-    """Return the installed system that a request names.
+    """Return the installed system that a request names; of two simulators that of its variant.
 
     Raises:
         UnknownSystemError: the system is not installed.
@@ -37,6 +38,8 @@ def requested_system(request: RolloutRequest | BatchRequest) -> SystemUnderTest:
 
     """
     system = load_system(request.system)
+    if isinstance(system, TwoSimulators):
+        system = system.half(request.variant)
     spec = system.spec
     if request.spec_sha256 != spec.digest:
         installed = ", ".join([*(f"{name} {version}" for name, version in spec.versions.items()), *spec.code])

@@ -29,12 +29,11 @@ from ..schemas.link.messages import (
 from ..schemas.platforms import platform_class
 from ..schemas.ranges import within_steps
 from ..schemas.rollout import RolloutRequest
-from ..schemas.system import SystemSpec
 from .batch import run_on
 from .faults import NOT_OF_SYSTEMS, fault_text
 from .parcels import Key, Parcels, key_of
 from .simulate import requested_system
-from .systems import usable
+from .systems import announced
 from .systems.base import Cancelled
 from .transport import Uplink
 
@@ -94,7 +93,7 @@ class WorkerProcess:
         self._leaving_since: float | None = None
         self._signalled = threading.Event()
         self._urgent = threading.Event()
-        specs = {name: each for name, each in usable().items() if isinstance(each, SystemSpec)}
+        specs = announced()
         self._systems = {name: each.digest for name, each in specs.items()}
         self._parts, room = dict[str, tuple[str, ...]](), MOST_PARTS
         for system, each in specs.items():

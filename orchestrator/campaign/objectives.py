@@ -91,6 +91,24 @@ def signal_sup(column: int, a: Floats, b: Floats) -> float:
         return _finite(float(np.max(np.abs(a[:, column] - b[:, column]))), "the gap")
 
 
+def at_common_times(a: Floats, b: Floats) -> tuple[Floats, Floats]:
+    """Return two trajectories (T, n) at the times of the one with fewer samples: the other one is interpolated there.
+
+    Of two simulators with unlike time grids; with equal ones they stay what they are.
+
+    >>> [each.tolist() for each in at_common_times(np.array([[0.0, 0.0], [1.0, 2.0]]),
+    ...                                            np.array([[0.0, 1.0], [0.5, 3.0], [1.0, 7.0]]))]
+    [[[0.0, 0.0], [1.0, 2.0]], [[0.0, 1.0], [1.0, 7.0]]]
+    """
+    if len(a) == len(b):
+        return a, b
+    if len(a) > len(b):
+        return at_common_times(b, a)[::-1]
+    t = a[:, 0]
+    # Where rounding has cut off the last step of one of them, its end is compared with the end of the other.
+    return a, np.column_stack([t, *(np.interp(t, b[:, 0], b[:, k]) for k in range(1, b.shape[1]))])
+
+
 def column_maximum(column: int, samples: Floats) -> float:
     """Return the largest value of one column of `samples` (T, n), in the unit of that column.
 

@@ -44,7 +44,7 @@ class Observer:
 
     def __init__(self, config: CampaignConfig, spec: SystemSpec) -> None:
         self._columns = tuple(column.name for column in spec.columns)
-        self._after_end = spec.after_end
+        self._after_end, self._of_two = spec.after_end, bool(spec.simulators)
         # Columns alone have no robustness without a clip: their certificates must not depend on a specification.
         columns_alone = all(OBJECTIVES[problem.name].measured == "column" for problem in config.problems)
         self._clip = config.clip or (None if columns_alone else UNBOUNDED)
@@ -217,10 +217,13 @@ class Observer:
         if gap.kind == "robustness":
             first, second = self._scores({("nominal", 0): nominal, ("true", 0): true})
             return first - second
+        one, other = true.samples, nominal.samples
+        if self._of_two:
+            one, other = objectives.at_common_times(one, other)
         if gap.kind == "predicate_sup":
-            found = predicate_sup(self._formula, nominal.columns, true.samples, nominal.samples)
+            found = predicate_sup(self._formula, nominal.columns, one, other)
         else:
-            found = objectives.signal_sup(self._column(gap.column), true.samples, nominal.samples)
+            found = objectives.signal_sup(self._column(gap.column), one, other)
         # The paper does not clip. Elsewhere (M + m)/L is enough: no two clipped values differ by more than M + m.
         return found if plan.problem.method == "paper" else min(found, (high - low) / gap.lipschitz)
 

@@ -64,7 +64,7 @@ class Roster:
             # The record outlives the token: after a partition the same process returns, perhaps with its result.
             if not message.alive:
                 return (events.WorkerDown(message.at, message.worker, replaced=local),)
-            return (events.WorkerUp(message.at, message.worker, record.state.host),)
+            return (self._up(message.at, message.worker, record.state),)
         if not message.alive:
             del self.records[message.worker]  # never admitted, so no attempt can come back from it
             del self._dead[message.worker]
@@ -102,7 +102,7 @@ class Roster:
         # The token comes first, also after a partition: without it a heartbeat is a late one of a lost worker.
         if record is None or not record.alive or record.refused:
             return ()
-        up = () if record.state else (events.WorkerUp(message.at, message.worker, message.state.host),)
+        up = () if record.state else (self._up(message.at, message.worker, message.state),)
         record.last_heartbeat, record.state = message.at, message.state
         state, attempt = message.state, None
         if state.rollout is not None and state.attempt is not None:
@@ -127,11 +127,23 @@ class Roster:
         """Admitted workers whose token is there."""
         return [name for name, each in self.records.items() if each.alive and each.state is not None]
 
+    def _up(self, at: float, worker: str, state: WorkerState) -> events.WorkerUp:
+        has = self._simulators(state)
+        only = has if self._spec.simulators and len(has) < len(self._spec.simulators) else None
+        return events.WorkerUp(at, worker, state.host, only)
+
+    def _simulators(self, state: WorkerState) -> frozenset[str]:
+        """Return the variants of a system of two simulators that a worker simulates."""
+        found = self._spec.simulators.items()
+        return frozenset(name for name, sha256 in found if state.systems.get(f"{self._spec.name}/{name}") == sha256)
+
     def _mismatch(self, state: WorkerState) -> str | None:
         spec = self._spec
         if state.protocol != PROTOCOL or state.version != __version__:
             theirs, ours = f"{state.version} (protocol {state.protocol})", f"{__version__} (protocol {PROTOCOL})"
             return f"the worker is perfbound {theirs}, the orchestrator {ours}; install the same version on both"
+        if self._simulators(state):
+            return self._other_platform(state)
         if spec.name not in state.systems:
             remedy = (
                 "run `perfbound systems` there, and install what is missing, or start it with --system FILE.py:NAME"
@@ -141,6 +153,9 @@ class Roster:
             # Another build may give other trajectories for the same seed; one certificate names one build.
             what = _what_differs(spec, state.parts.get(spec.name))
             return f"the worker's {spec.name!r} has {what} than the campaign's; use the same on both"
+        return self._other_platform(state)
+
+    def _other_platform(self, state: WorkerState) -> str | None:
         if self._platform not in (ANY, state.platform):
             return (
                 f"the worker's platform is {state.platform or 'unknown'}, the campaign's {self._platform}, and their "

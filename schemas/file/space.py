@@ -1,5 +1,6 @@
 """The system of a campaign file, and its space: all starting conditions of the claim."""
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -47,6 +48,17 @@ class SystemChoice(Model, extra="allow"):
         description="FILE.py:NAME, a function or class in a file; its path is relative to the campaign file",
     )
 
+    nominal: "SystemChoice | None" = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="the simulator of the variant `nominal`, in a table `[system.nominal]` like this one",
+    )
+    true: "SystemChoice | None" = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="beside `[system.nominal]`: that of the variant `true`; of a system with that variant it is that "
+        "one",
+    )
     files: tuple[str, ...] | None = Field(
         default=None,
         exclude_if=lambda value: value is None,
@@ -121,7 +133,8 @@ class SystemChoice(Model, extra="allow"):
         min_length=1,
         description="of a program, required: columns of its samples in their order, with units, without `t`; of an "
         "environment: those that are recorded, by default every number of the observation, `reward` and numbers of "
-        "`info`; of an FMU its outputs, of MuJoCo the sensors",
+        "`info`; of an FMU its outputs, of MuJoCo the sensors; of two simulators, required: those that "
+        "both have and that are recorded",
     )
     step: float | None = Field(
         default=None,
@@ -182,7 +195,38 @@ class SystemChoice(Model, extra="allow"):
             raise ValueError(f"{key}: this key is for {_kinds_with(key)} alone")
         if missing := next((key for key in kind.required if getattr(self, key) is None), None):
             raise ValueError(f"{missing}: required by {kind.words}: {kind.required[missing]}")
+        if self.nominal is not None and self.true is not None:
+            self._check_pair(self.nominal, self.true)
         return self
+
+    def _check_pair(self, nominal: "SystemChoice", true: "SystemChoice") -> None:
+        for variant, part in (("nominal", nominal), ("true", true)):
+            if part.nominal is not None:
+                raise ValueError(f"{variant}: is itself two simulators; name one")
+        if self.options:
+            option = next(iter(self.options))
+            raise ValueError(
+                f"{option}: an option belongs to one of the simulators, in [system.nominal] or [system.true]"
+            )
+
+    @property
+    def simulators(self) -> Mapping[Variant, "SystemChoice"]:
+        """The systems of the variants, where they are two."""
+        return {} if self.nominal is None or self.true is None else {"nominal": self.nominal, "true": self.true}
+
+    @property
+    def label(self) -> str:
+        """A name of the system for one that is made of two.
+
+        >>> SystemChoice(nominal=SystemChoice(name="segway-mujoco"), true=SystemChoice(python="a.py:Car_2"),
+        ...              columns={"phi": "rad"}).label
+        'segway-mujoco-and-car-2'
+        """
+        if self.simulators:
+            return "-and-".join(each.label for each in self.simulators.values())
+        named = self.program[0] if self.program else str(getattr(self, self.kind))
+        found = re.sub("[^a-z0-9]+", "-", named.rpartition(":")[2].rpartition("/")[2].partition(".")[0].lower())
+        return found.strip("-") or self.kind
 
     @property
     def kind(self) -> str:
@@ -257,6 +301,15 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             described=True,
         ),
         "fmu": Kind("an FMU", 'fmu = "NAME.fmu"', (*RECORDED_KEYS, "interface", "noisy", "after_end"), described=True),
+        "nominal": Kind(
+            "two simulators",
+            "[system.nominal] and [system.true], two simulators",
+            ("true", "columns"),
+            {
+                "true": "a table [system.true] with the other one",
+                "columns": 'those that both have, with units, { phi = "rad" }',
+            },
+        ),
         "mjcf": Kind("a model for MuJoCo", 'mjcf = "NAME.xml"', (*RECORDED_KEYS, "controller"), described=True),
     }
 )

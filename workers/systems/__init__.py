@@ -12,6 +12,7 @@ from ..faults import NOT_OF_SYSTEMS, fault_text
 from .base import SystemUnderTest
 from .declared import DeclaredFiles, WithSpec, declared_files
 from .fingerprint import code_of_files, files_of_module, versions_of
+from .pair import TwoSimulators
 
 GROUP = "perfbound.systems"
 
@@ -30,7 +31,8 @@ def add_file(reference: str) -> str:
     from .files import load_reference  # noqa: PLC0415  (most workers have none)
 
     system = load_reference(reference)
-    name = system.spec.name
+    # Of two simulators one may be missing here, and with it what they are together.
+    name = system.name if isinstance(system, TwoSimulators) else system.spec.name
     if name in _entry_points():
         raise DefinitionError(f"{reference}: an installed system is called {name!r}; give the function another name")
     _FROM_FILES[name] = system
@@ -61,6 +63,13 @@ def load_system(name: str) -> SystemUnderTest:
 def usable() -> dict[str, SystemSpec | str]:
     """Return the spec of every available system, or in its place the reason why it cannot be used here."""
     return {name: _spec_or_reason(name) for name in available()}
+
+
+def announced() -> dict[str, SystemSpec]:
+    """Return the specs of all usable systems; of two simulators also that of each, as `NAME/VARIANT`."""
+    pairs = {name: system for name, system in _FROM_FILES.items() if isinstance(system, TwoSimulators)}
+    halves = {f"{name}/{variant}": spec for name, each in pairs.items() for variant, spec in each.present.items()}
+    return {name: each for name, each in usable().items() if isinstance(each, SystemSpec)} | halves
 
 
 def _spec_or_reason(name: str) -> SystemSpec | str:

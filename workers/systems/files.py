@@ -11,14 +11,17 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
-from ...schemas.errors import DefinitionError
+from ...schemas.errors import DefinitionError, UnknownSystemError
+from ...schemas.file.config import CampaignConfig
 from ...schemas.file.reader import load_description
 from ...schemas.file.space import SystemChoice
 from ...schemas.places import PACKAGES
+from ...schemas.system import Variant
 from ..faults import NOT_OF_SYSTEMS
 from .base import SystemUnderTest
 from .declared import DeclaredFiles, WithSpec, declared_files
 from .fingerprint import code_of_files, sources_of, versions_of
+from .pair import Half, TwoSimulators
 from .program import load_program
 
 MODULE = "perfbound_system"
@@ -36,7 +39,11 @@ def load_reference(reference: str) -> SystemUnderTest:
     if not reference.endswith(".toml"):
         return load_file(reference)
     path = Path(reference)
-    config = load_description(path)
+    return _described(path, load_description(path))
+
+
+def _described(path: Path, config: CampaignConfig) -> SystemUnderTest:
+    """Return the system of a campaign that was read from `path`."""
     match config.system.kind:
         case "program":
             program = load_program(path, config)
@@ -55,7 +62,36 @@ def load_reference(reference: str) -> SystemUnderTest:
             return load_mjcf(path, config)
         case "python":
             return load_file(str(path.absolute().parent / (config.system.python or "")), config.system, path)
+        case "nominal":
+            return _both(path, config)
     raise DefinitionError(f"{path}: its system {config.system.name!r} is installed, and needs no reference")
+
+
+def _both(path: Path, config: CampaignConfig) -> TwoSimulators:
+    """Return the two simulators of a campaign; one may be missing here.
+
+    Raises:
+        DefinitionError: both are missing, or one has not what the file says.
+
+    """
+    from . import load_system  # noqa: PLC0415  (it imports this module late)
+
+    pair, halves = config.system, dict[Variant, Half | str]()
+    for variant, choice in pair.simulators.items():
+        part = config.model_copy(update={"system": choice})
+        try:
+            system = load_system(choice.name) if choice.name else _described(path, part)
+        except (DefinitionError, UnknownSystemError) as error:
+            halves[variant] = str(error)
+            continue
+        try:
+            halves[variant] = Half(system, variant, choice, pair.columns or {}, pair.label)
+        except DefinitionError as error:
+            raise DefinitionError(f"{path}: system.{error}") from None
+    reasons = [each for each in halves.values() if isinstance(each, str)]
+    if len(reasons) == len(halves):
+        raise DefinitionError("; ".join(reasons))
+    return TwoSimulators(pair.label, halves)
 
 
 def load_file(reference: str, said: SystemChoice | None = None, campaign: Path | None = None) -> SystemUnderTest:

@@ -365,6 +365,8 @@ def _of_gap(account: Account, accounts: Mapping[str, Account], ledger: Ledger) -
     check = ledger.closing.spot_check
     fresh = check.excess if check is not None else -math.inf
     yield _dominates(account, max(account.excess, fresh))
+    if ledger.header.spec.simulators and account.plan.gap.kind != "robustness":
+        yield assumption("common_times/sim_gap", "assumed", {})
     if "nominal" in account.plan.shared:
         yield _deterministic_nominal(accounts.get("nominal_robustness"))
 

@@ -147,6 +147,10 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "assumed": "the replicates of a test share one nominal rollout, because the system declares that variant "
         "deterministic; no rollout was repeated to test it.",
     },
+    "common_times": {
+        "assumed": "the gap of two simulators with unlike time grids is that at the times of the coarser one; what the "
+        "finer one does between those is assumed to make it no larger.",
+    },
     "lipschitz_column": {
         "refuted": "for some pair of rollouts the robustness differs by {excess} more than L times the gap: L or the "
         "column is wrong, and the composition does not follow.",
@@ -515,6 +519,7 @@ STATEMENTS = {
     "declared_laws": "what rollouts report of their disturbances has the declared laws",
     "defined_in_session": "the function uses nothing of its session that changes",
     "design": "all tests were planned before the first outcome",
+    "common_times": "the gap shows at the times of the coarser simulator",
     "deterministic": "the simulator is deterministic",
     "deterministic_nominal": "the nominal simulator is deterministic",
     "discarded": "a discarded rollout was simulated again with the same seed",

@@ -9,8 +9,16 @@ from .standing import FOR_GOOD, Place, Standing, in_a_row, is_aside, last_failur
 from .state import SERVING, DispatchState, Worker
 
 
-def eligible(state: DispatchState, at: float) -> list[str]:
-    """Return the workers that serve and are not set aside; if all are, those whose last failure is long enough ago."""
+def eligible(state: DispatchState, at: float, rollout: WorkId | None = None) -> list[str]:
+    """Return the workers that serve and are not set aside; if all are, those whose last failure is long enough ago.
+
+    With `rollout` only those that have its simulator.
+    """
+    found = _in_favour(state, at)
+    return found if rollout is None else [name for name in found if state.simulates(name, rollout)]
+
+
+def _in_favour(state: DispatchState, at: float) -> list[str]:
     serving = [(name, worker.host) for name, worker in state.workers.items() if worker.phase in SERVING]
     if not state.standings:
         return [name for name, _ in serving]
@@ -44,7 +52,9 @@ def others_in_good_standing(state: DispatchState, at: float, *, worker: str, hos
 def nearest(state: DispatchState, rollout: WorkId, at: float) -> int:
     """Return the lowest `Open.rank` of an open rollout among the workers that may try it; that of a repeat for none."""
     known = state.open[rollout]
-    return min((known.rank(name, state.workers[name].host) for name in eligible(state, at)), default=SAME_WORKER)
+    return min(
+        (known.rank(name, state.workers[name].host) for name in eligible(state, at, rollout)), default=SAME_WORKER
+    )
 
 
 def is_alone(state: DispatchState, rollout: WorkId, at: float) -> bool:
@@ -65,6 +75,7 @@ def others_may_come(state: DispatchState, rollout: WorkId, at: float) -> bool:
         return True
     return any(
         _is_expected(state, worker, at)
+        and state.simulates(name, rollout)
         and known.rank(name, worker.host) < SAME_WORKER
         and not is_aside(state.standings, name, worker.host, at)
         for name, worker in state.workers.items()
@@ -131,8 +142,12 @@ def _worker(
 ) -> tuple[str | None, int]:
     """Return the free worker for a rollout, None if a better one is busy or may come; and the lowest `Open.rank`."""
     known = state.open[rollout]
+    if state.variants:
+        free, allowed = ([name for name in each if state.simulates(name, rollout)] for each in (free, allowed))
+        if not allowed:
+            return None, ELSEWHERE
     if known.is_fresh:
-        return free[0], ELSEWHERE
+        return (free[0] if free else None), ELSEWHERE
     hosts = {name: state.workers[name].host for name in allowed}
     ranks = {
         # The second part, because two nodes that lack a licence would confirm each other's failure.

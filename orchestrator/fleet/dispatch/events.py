@@ -55,6 +55,8 @@ class WorkerUp:
     at: float
     worker: str
     host: str = ""
+    variants: frozenset[str] | None = None
+    """Those that it simulates, of a system of two simulators; None for all."""
 
 
 @dataclass(frozen=True, slots=True)

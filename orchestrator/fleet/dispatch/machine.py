@@ -182,6 +182,8 @@ def _present(state: DispatchState, event: WorkerUp | WorkerDown | RouterChanged 
 
 def _up(state: DispatchState, event: WorkerUp) -> DispatchState:
     worker = state.workers.get(event.worker)
+    if event.variants is not None:
+        state = replace(state, variants={**state.variants, event.worker: event.variants})
     if worker is None:
         # Nothing is assigned before its first heartbeat: after a partition or a restart it may be busy.
         return _put(state, event.worker, Worker("new", host=event.host, started_at=event.at, progress_at=event.at))
@@ -329,7 +331,8 @@ def _watch(state: DispatchState, name: str, worker: Worker, at: float) -> Outcom
         left = {key: value for key, value in state.workers.items() if key != name}
         # A process that returns under this name is compared anew, and memory does not grow with all that ever were.
         compared = {key: value for key, value in state.comparisons.items() if key != name}
-        return replace(state, workers=left, comparisons=compared), failed
+        variants = {key: value for key, value in state.variants.items() if key != name}
+        return replace(state, workers=left, comparisons=compared, variants=variants), failed
     # It neither reports idle nor disappears. `progress_at` starts anew, so that it is given up again later.
     if worker.phase in ("new", "shunned") and at - worker.progress_at >= limits.hung_after:
         return _put(state, name, replace(worker, progress_at=at)), (GiveUp(name),)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from ....schemas.ids import Attempt, WorkId
+from ....schemas.ids import Attempt, WorkId, first_of
 from .limits import Limits
 from .retries import Open
 from .standing import Place, Standing
@@ -71,11 +71,17 @@ class DispatchState:
     """Whether the first results of a worker are compared."""
     comparisons: Mapping[str, int] = field(default_factory=dict)
     """Results of a worker that agreed with another one's."""
+    variants: Mapping[str, frozenset[str]] = field(default_factory=dict)
+    """Of the workers that simulate only some variants of the system."""
 
     def is_undecided(self, rollout: WorkId) -> bool:
         """Whether nothing has been decided on an open rollout since its last attempt ended."""
         held = any(each.attempt is not None and each.attempt.rollout == rollout for each in self.workers.values())
         return not (self.open[rollout].poisoned or held or rollout in self.waiting)
+
+    def simulates(self, worker: str, rollout: WorkId) -> bool:
+        """Whether a worker has the simulator of a rollout."""
+        return worker not in self.variants or first_of(rollout).variant in self.variants[worker]
 
     def host(self, worker: str) -> str:
         """Return the host of a worker; of one that has been removed, none."""
