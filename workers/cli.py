@@ -191,7 +191,12 @@ def spec(reference: str) -> None:
     """Print the SystemSpec of a system in a file as JSON."""
     from .systems import load_system  # noqa: PLC0415
 
-    answer(canonical_json(load_system(_add_file(reference)).spec.model_dump(mode="json")))
+    system = load_system(_add_file(reference))
+    try:
+        found = system.spec
+    except PerfboundError as error:  # of two simulators that do not fit together, or of which one is missing here
+        fail(*error.lines)
+    answer(canonical_json(found.model_dump(mode="json")))
 
 
 def _be_child() -> None:

@@ -3,7 +3,7 @@
 import shlex
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from ...schemas.errors import one_line
@@ -29,6 +29,16 @@ class Lines:
     def refused(self, worker: str, reason: str) -> None:
         """Print that a worker is refused."""
         self._about(worker, "refused workers", f"refused worker {worker}: {reason}")
+
+    def simulates(self, worker: str, variants: Iterable[str]) -> None:
+        """Print that a worker has only one of two simulators."""
+        found = " and ".join(sorted(variants))
+        self._about(
+            worker,
+            "workers with one simulator",
+            f"worker {worker} has the simulator of {found} alone, and gets its "
+            "rollouts; the others wait for a worker with theirs",
+        )
 
     def ignored(self, worker: str, reason: str) -> None:
         """Print that a message is not acceptable."""

@@ -219,7 +219,11 @@ class Service:
                 if (reason := self._roster.refusal(message)) is not None:
                     self._lines.refused(message.worker, reason)
                     self._outbox.refuse(message.worker, reason)
-                self._events.extend(self._roster.heartbeat(message))
+                found = self._roster.heartbeat(message)
+                for variants in (each.variants for each in found if isinstance(each, events.WorkerUp)):
+                    if variants is not None:
+                        self._lines.simulates(message.worker, variants)
+                self._events.extend(found)
             case Result() if self._roster.admitted(message.worker) is None:
                 return  # not acknowledged before the worker is admitted: it delivers the result again
             case Result() if not self._assignments.proved(message.worker, message.header):

@@ -63,7 +63,7 @@ def start_campaign(
 
     """
     reference = options.system or config.system.reference(source)
-    where = f"{source}: system.{config.system.kind}"
+    where = f"{source}: {config.system.place}"
     spec = options.own.spec if options.own else child.system_spec(reference, where)
     check_new(config, spec, str(source))
     # After the file: a copied one with a typo is at fault itself, and not the directory of its name.

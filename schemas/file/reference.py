@@ -245,6 +245,8 @@ def _problem_row(name: str, objective: Objective) -> str:
 def _rows(model: type[BaseModel]) -> Iterator[tuple[str, str, str]]:
     """Yield name, allowed values with the default, and meaning of each key of a model."""
     schema = TypeAdapter(model).json_schema()
+    if "$ref" in schema:  # a table that may contain others of its kind
+        schema = schema["$defs"][model.__name__]
     required = schema.get("required", ())
     for name, part in schema["properties"].items():
         if (model, name) not in OMITTED:

@@ -234,6 +234,11 @@ class SystemChoice(Model, extra="allow"):
         return next(key for key in KINDS if getattr(self, key))
 
     @property
+    def place(self) -> str:
+        """The key that a message about the system names."""
+        return "system" if self.simulators else f"system.{self.kind}"
+
+    @property
     def is_described(self) -> bool:
         """Whether the campaign file describes the system: its parameters are those of `[space]`."""
         return KINDS[self.kind].described

@@ -98,7 +98,7 @@ class TwoSimulators(SystemUnderTest):
         """Return the simulator of a variant; raises UnknownSystemError if it is not here."""
         found = self._halves[variant]
         if isinstance(found, str):
-            raise UnknownSystemError(f"{self.name}: {variant}: {found}")
+            raise UnknownSystemError(f"{variant}: {found}")
         return found
 
     def rollout(self, x: Sequence[Any], *, variant: Variant, **arguments: Any) -> Trajectory:
@@ -172,7 +172,8 @@ def _shared(nominal: SystemSpec, true: SystemSpec) -> list[Parameter]:
     if names[0] != names[1]:
         listed = [", ".join(f"{name} ({unit})" if unit else name for name, unit, _ in each) for each in names]
         raise DefinitionError(
-            f"the parameters of nominal are {listed[0]}, those of true {listed[1]}; give both the same ones, in one order"
+            f"the parameters of nominal are {listed[0]}, those of true {listed[1]}; give both the same ones, in the "
+            "same order"
         )
     found = list[Parameter]()
     for one, other in zip(nominal.parameters, true.parameters, strict=True):

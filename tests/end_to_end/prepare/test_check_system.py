@@ -169,7 +169,10 @@ def test_the_table_names_every_check_and_the_verdict(started: Processes) -> None
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("nothing",), "SYSTEM: 'nothing' is not an installed system; allowed are segway, test-function"),
+        (
+            ("nothing",),
+            "SYSTEM: 'nothing' is not an installed system; allowed are segway, segway-mujoco, test-function",
+        ),
         ((f"{PLANTED}:nothing",), "there is no 'nothing' in it"),
         ((f"{PLANTED}:sound", "--variant", "true"), "--variant true: sound has nominal"),
         (("segway", "--horizon", "500"), "--horizon 500: segway takes 0 to 120 s"),

@@ -150,7 +150,7 @@ def test_a_file_that_exists_stays_as_it_is(folder: Processes, tmp_path: Path) ->
         ("segway", ("--horizon", "nan"), "--horizon nan: segway takes 0 to 120 s"),
         ("segway", ("--horizon", "121"), "--horizon 121: segway takes 0 to 120 s"),
         ("segway", ("--out", "no/c.toml"), "no/c.toml: there is no such folder; make it, or choose another --out"),
-        ("bikes", (), "SYSTEM: 'bikes' is not an installed system; allowed are segway, test-function"),
+        ("bikes", (), "SYSTEM: 'bikes' is not an installed system; allowed are segway, segway-mujoco, test-function"),
     ],
 )
 def test_a_wish_that_cannot_be_met_is_one_line_and_no_file(

@@ -155,7 +155,7 @@ def test_workers_elsewhere_need_the_same_code(started: Processes, folder: Path, 
         ('python = "bikes.py:cars"', "there is no such Python file"),
         ('python = "cars.py:bikes"', "there is no 'bikes' in it"),
         ('python = "cars.py"', "python: 'cars.py' is not allowed: allowed is"),
-        ('name = "cars"', "'cars' is not an installed system; allowed are segway, test-function"),
+        ('name = "cars"', "'cars' is not an installed system; allowed are segway, segway-mujoco, test-function"),
         ('name = "segway"\npython = "cars.py:cars"', 'give one of name = "...", an installed system, python'),
         (
             'python = "cars.py:cars"\nreactoin = 0.5',
