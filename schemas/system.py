@@ -367,34 +367,35 @@ class SystemSpec(Model, metaclass=Written):
         packages = {f"{name} {version}": f"{name} {version}" for name, version in self.versions.items()}
         return {hashlib.sha256(text.encode()).hexdigest()[:PART]: label for text, label in (files | packages).items()}
 
-    def differences(self, here: "SystemSpec") -> list[str]:
-        """Return in what the same system is another one here: files, versions, then other keys, with both values.
 
-        >>> one = SystemSpec(name="a", doc="", parameters=(Parameter(0, 1, name="x"),),
-        ...                  columns=(Column(name="t", unit="s"), Column(name="y", unit="m")), max_horizon=1,
-        ...                  versions={"numpy": "1.26"}, code={"a.py": "0" * 64, "b.py": "1" * 64})
-        >>> one.differences(one.model_copy(update={"versions": {"numpy": "2.0"}, "code": {"a.py": "0" * 64}}))
-        ['b.py is missing here', 'numpy 1.26 (here 2.0)']
-        """
-        code = [
-            f"{name} is {'another one' if name in self.code else 'new'} here"
-            if name in here.code
-            else f"{name} is missing here"
-            for name in sorted(self.code.keys() | here.code.keys())
-            if self.code.get(name) != here.code.get(name)
-        ]
-        versions = [
-            f"{name} {self.versions.get(name, 'none')} (here {here.versions.get(name, 'none')})"
-            for name in sorted(self.versions.keys() | here.versions.keys())
-            if self.versions.get(name) != here.versions.get(name)
-        ]
-        seen = {"code", "versions", *DECIDES_NO_ROLLOUT}
-        others = [
-            f"{key} {_short(getattr(self, key))} (here {_short(getattr(here, key))})"
-            for key in type(self).model_fields
-            if key not in seen and getattr(self.declared, key) != getattr(here.declared, key)
-        ]
-        return code + versions + others
+def differences(spec: SystemSpec, here: SystemSpec) -> list[str]:
+    """Return in what the same system is another one here: files, versions, then other keys, with both values.
+
+    >>> one = SystemSpec(name="a", doc="", parameters=(Parameter(0, 1, name="x"),),
+    ...                  columns=(Column(name="t", unit="s"), Column(name="y", unit="m")), max_horizon=1,
+    ...                  versions={"numpy": "1.26"}, code={"a.py": "0" * 64, "b.py": "1" * 64})
+    >>> differences(one, one.model_copy(update={"versions": {"numpy": "2.0"}, "code": {"a.py": "0" * 64}}))
+    ['b.py is missing here', 'numpy 1.26 (here 2.0)']
+    """
+    code = [
+        f"{name} is {'another one' if name in spec.code else 'new'} here"
+        if name in here.code
+        else f"{name} is missing here"
+        for name in sorted(spec.code.keys() | here.code.keys())
+        if spec.code.get(name) != here.code.get(name)
+    ]
+    versions = [
+        f"{name} {spec.versions.get(name, 'none')} (here {here.versions.get(name, 'none')})"
+        for name in sorted(spec.versions.keys() | here.versions.keys())
+        if spec.versions.get(name) != here.versions.get(name)
+    ]
+    seen = {"code", "versions", *DECIDES_NO_ROLLOUT}
+    others = [
+        f"{key} {_short(getattr(spec, key))} (here {_short(getattr(here, key))})"
+        for key in type(spec).model_fields
+        if key not in seen and getattr(spec.declared, key) != getattr(here.declared, key)
+    ]
+    return code + versions + others
 
 
 def _check_disturbances(spec: SystemSpec) -> None:

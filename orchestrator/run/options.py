@@ -9,7 +9,7 @@ from typing import Protocol
 from ...schemas.errors import CampaignError, JournalError
 from ...schemas.platforms import ANY, platform_class
 from ...schemas.result.facts import Header
-from ...schemas.system import SystemSpec
+from ...schemas.system import SystemSpec, differences
 from ..campaign.software import other_numerics
 from ..fleet.children import child
 from ..fleet.children.processes import Fleet
@@ -125,7 +125,7 @@ def check_own(header: Header, spec: SystemSpec) -> None:
 
     """
     if spec.digest != header.system_sha256:
-        others = "; ".join(header.spec.differences(spec))
+        others = "; ".join(differences(header.spec, spec))
         raise JournalError(
             f"{spec.name}: not the function with which this campaign was started ({others}); give that one, or start a "
             "new campaign"
@@ -152,7 +152,7 @@ def _check_code(header: Header, reference: str, options: RunOptions) -> None:
         return  # the workers have it, and are compared when they arrive
     found = child.system_spec(reference, "--system")
     if found.digest != header.system_sha256:
-        others = "; ".join(campaign.differences(found))
+        others = "; ".join(differences(campaign, found))
         remedy = "with the version of then" if installed else "with the files of then (--system, if they are elsewhere)"
         raise JournalError(
             f"{reference}: not the system with which this campaign was started: {others}; resume it {remedy}, or start "

@@ -31,6 +31,7 @@ from ..schemas.real_numbers import real_array
 from ..schemas.result.certificate import Predicate
 from ..schemas.result.facts import Header
 from ..schemas.result.known import CampaignVerdict
+from ..schemas.system import differences
 from ..schemas.trajectory.trajectory import Trajectory
 from .forked import Forked
 from .process import interruptible, output, reproducible
@@ -269,7 +270,7 @@ def run_campaign(
     check_workers(system.spec, own, directory)
     if (directory / DATABASE).exists():
         # A system whose code has changed is another one: its old result must not be read as that of the new code.
-        changed = Run(directory).header.spec.differences(system.spec)
+        changed = differences(Run(directory).header.spec, system.spec)
         found = places.stored_differently(directory, config) or ", ".join(changed[:1])
         differing = f"another campaign is here ({found})" if found else "this campaign is here already"
         remedy = "choose another `out`" if found else _of_this(directory)

@@ -17,7 +17,7 @@ from tests.unit.hosts import test_pki
 from tests.unit.library import test_campaign
 from tests.unit.mathematics.stl import test_horizon, test_text
 from tests.unit.schemas.link import test_tls_files
-from tests.unit.workers import test_function
+from tests.unit.workers.systems import test_function
 
 
 def tls(folder: Path) -> Cases:

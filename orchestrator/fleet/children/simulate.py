@@ -14,7 +14,7 @@ from ....schemas.ids import RolloutId
 from ....schemas.number_text import number_in
 from ....schemas.requests import RequestTemplate
 from ....schemas.rollout import RolloutRequest
-from ....schemas.system import OptionValue, SystemSpec, Variant
+from ....schemas.system import OptionValue, SystemSpec, Variant, differences
 from ....schemas.trajectory.trajectory import Trajectory, encode
 from .child import HangError, ask, installed_systems, named_campaign, system_options, system_spec
 
@@ -156,7 +156,7 @@ def _other_build(request: RolloutRequest | BatchRequest, spec: SystemSpec, syste
         here = system_spec(system or spec.name, "SYSTEM")
     except PerfboundError:
         return None
-    if request.spec_sha256 == here.digest or not (differing := spec.differences(here)):
+    if request.spec_sha256 == here.digest or not (differing := differences(spec, here)):
         return None
     return PerfboundError(
         f"{spec.name} is another build than that of the campaign: {'; '.join(differing)}; use that one"

@@ -76,7 +76,7 @@ def test_a_broken_plug_in_hides_no_other(monkeypatch: pytest.MonkeyPatch, fault:
 
 def test_a_worker_serves_what_it_can_use(monkeypatch: pytest.MonkeyPatch) -> None:
     spec = TestFunctionSystem().spec
-    monkeypatch.setattr(worker, "usable", lambda: {"segway": bullet.NEEDS, "test-function": spec})
+    monkeypatch.setattr(systems, "usable", lambda: {"segway": bullet.NEEDS, "test-function": spec})
     uplink: Any = SimpleNamespace(orchestrators=list)  # all that it needs before it serves
     assert worker.WorkerProcess("w", uplink)._state(None).systems == {"test-function": spec.digest}
 

@@ -15,7 +15,7 @@ from perfbound.schemas.file.signals import SignalKind, SignalShape
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.requests import RequestTemplate
 from perfbound.schemas.rollout import RolloutRequest
-from perfbound.schemas.system import Column, Parameter, SystemSpec
+from perfbound.schemas.system import Column, Parameter, SystemSpec, differences
 from perfbound.schemas.trajectory.input_signal import InputSignal, start_values
 
 KINDS: tuple[SignalKind, ...] = ("pchip", "linear", "constant")
@@ -118,7 +118,7 @@ def test_the_identity_is_that_of_the_declared_system() -> None:
     assert found.declared == spec()
     assert found.spread() == found
     assert found.digest == spec().digest
-    assert found.differences(spec()) == []
+    assert differences(found, spec()) == []
     plain = spec().model_copy(update={"parameters": (Parameter(5, 60, name="gap"),)})
     assert plain.spread(SHAPES) is plain
     assert found.digest != plain.digest

@@ -364,7 +364,7 @@ def test_another_program_is_another_system(program: Callable[..., ProgramSystem]
 
 
 def test_a_campaign_file_stands_for_its_system(tmp_path: Path) -> None:
-    folder = Path(__file__).parents[3] / "deploy" / "examples" / "cars"
+    folder = Path(__file__).parents[4] / "deploy" / "examples" / "cars"
     shutil.copytree(folder, tmp_path / "cars")
     assert load_reference(str(tmp_path / "cars" / "cars.toml")).spec.name == "cars"
 

@@ -10,7 +10,7 @@ from perfbound.schemas.errors import DefinitionError, PerfboundError, ReplacedEr
 from perfbound.schemas.failure import Failure
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.requests import RequestTemplate
-from perfbound.schemas.system import SystemSpec
+from perfbound.schemas.system import SystemSpec, differences
 from perfbound.workers import systems
 from perfbound.workers.simulate import run_request
 from perfbound.workers.systems import declared
@@ -139,7 +139,7 @@ def test_another_file_is_another_system_and_has_a_name(folder: Path, way: Callab
     make(folder)
     after = load_reference(reference).spec
     assert after.digest != before.digest
-    assert before.differences(after) == [words]
+    assert differences(before, after) == [words]
 
 
 def test_without_files_the_identity_is_that_of_the_sources(folder: Path) -> None:
