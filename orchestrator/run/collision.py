@@ -22,10 +22,11 @@ class PoisonedError(PerfboundError):
 LONGEST = 60.0
 """Seconds for each of the two repetitions."""
 COLLISION = (
-    "alone it gives one trajectory, twice: rollouts of workers of one machine seem to collide, or something that it "
-    "reads has changed since. Give each worker its own files, ports and locks (the argument `worker` of a function, "
-    "PERFBOUND_SCRATCH, PERFBOUND_PORT and PERFBOUND_WORKER of a program), or run one worker on each machine, and "
-    "declare the `files` that it reads; perfbound check-system runs two at a time, and names these files"
+    "alone it gives one trajectory, twice: rollouts of workers of one machine seem to collide, something that it reads "
+    "has changed since, or a rollout before it has left something in its process. Give each worker its own files, "
+    "ports and locks (the argument `worker` of a function, PERFBOUND_SCRATCH, PERFBOUND_PORT and PERFBOUND_WORKER of a "
+    "program), or run one worker on each machine, and declare the `files` that it reads; perfbound check-system runs "
+    "two at a time, and names these files"
 )
 
 

@@ -141,7 +141,7 @@ def validated(found: dict[str, Any], table: Mapping[str, Any], source: str) -> C
         listed = list_fault(found, one_problem)
         lines = faults(error, found, one_problem) if listed is None else [listed]
         misses = [line for line in lines if ": this key is required" in line]
-        if misses and not OF_PROBLEM & table.keys() and is_description(table):
+        if misses and "space" in table and not OF_PROBLEM & table.keys() and is_description(table):
             first, *others = lines
             hint = f"; this file describes a system alone: perfbound init {shlex.quote(source)} makes a campaign of it"
             # What a campaign needs in addition is what that command adds.

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from ..base import Model
+from ..errors import meant
 from ..ranges import SEED_BITS
 from ..system import AfterEnd, OptionValue, Variant
 from ..values import DistributionName, Stamps
@@ -185,7 +186,8 @@ class SystemChoice(Model, extra="allow"):
         kinds = [key for key in KINDS if getattr(self, key)]
         if len(kinds) != 1:
             forms = [each.form for each in KINDS.values()]
-            raise ValueError(f"name: give one of {', '.join(forms[:-1])}, and {forms[-1]}")
+            near = next(filter(None, (meant(name, KINDS) for name in self.options)), "") if not kinds else ""
+            raise ValueError(f"name: {near}give one of {', '.join(forms[:-1])}, and {forms[-1]}")
         kind = KINDS[kinds[0]]
         for key in dict.fromkeys(key for each in KINDS.values() for key in each.keys):
             if getattr(self, key) is None or key in kind.keys:
@@ -306,6 +308,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             described=True,
         ),
         "fmu": Kind("an FMU", 'fmu = "NAME.fmu"', (*RECORDED_KEYS, "interface", "noisy", "after_end"), described=True),
+        "mjcf": Kind("a model for MuJoCo", 'mjcf = "NAME.xml"', (*RECORDED_KEYS, "controller"), described=True),
         "nominal": Kind(
             "two simulators",
             "[system.nominal] and [system.true], two simulators",
@@ -315,7 +318,6 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
                 "columns": 'those that both have, with units, { phi = "rad" }',
             },
         ),
-        "mjcf": Kind("a model for MuJoCo", 'mjcf = "NAME.xml"', (*RECORDED_KEYS, "controller"), described=True),
     }
 )
 """By the key of `[system]` that names the system."""

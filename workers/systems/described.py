@@ -10,15 +10,31 @@ from ...schemas.file.config import CampaignConfig
 from ...schemas.system import Option, OptionValue, Parameter
 from ..faults import NOT_OF_SYSTEMS, fault_text
 
+LIBRARIES = frozenset({"fmpy", "gymnasium"})
 
-def space_parameters(config: CampaignConfig) -> Iterator[Parameter]:
-    """Yield the parameters of `[space]`; those of a list of starts are x1, x2, ..., each with its range."""
+
+def space_parameters(config: CampaignConfig, where: str = "") -> Iterator[Parameter]:
+    """Yield the parameters of `[space]`; those of a list of starts are x1, x2, ..., each with its range.
+
+    Raises:
+        DefinitionError: a name is none here; `where` is the file.
+
+    """
     if not isinstance(config.space, dict):
         for k, values in enumerate(zip(*config.space.rows, strict=True)):
             yield Parameter(name=f"x{k + 1}", low=min(values), high=max(values))
         return
     for name, box in config.space.items():
+        if not re.fullmatch("[a-z][a-z0-9_]*", name):
+            raise DefinitionError(f"{where}: space: names are in lower case here; write {own_name(name)} for {name!r}")
         yield Parameter(name=name, unit=box.unit, low=box.low, high=box.high, signal=box.signal is not None)
+
+
+def of_campaign(name: str) -> str:
+    """Return a hint for a key of the campaign that stands below `[system]`; nothing for another one."""
+    return (
+        f"put the key `{name}` of the campaign above the first [table]; " if name in CampaignConfig.model_fields else ""
+    )
 
 
 def option_of(name: str, value: OptionValue) -> Option:
@@ -77,7 +93,13 @@ def blaming(place: str, simulated: str | None = None) -> Iterator[None]:
     except SimulationError as error:
         raise DefinitionError(f"{simulated or place}: {error}") from None
     except BaseException as error:  # noqa: BLE001  (any: untrusted code)
-        raise DefinitionError(f"{place}: {fault_text(error)}") from None
+        raise DefinitionError(f"{place}: {own_words(error)}") from None
+
+
+def own_words(error: BaseException) -> str:
+    """Return what an exception says; of a library that we call without a place there, which helps nobody."""
+    library = type(error).__module__.partition(".")[0] in LIBRARIES or type(error) is Exception
+    return str(error).rstrip(".") if library and str(error) else fault_text(error)
 
 
 def fixed_option(name: str, value: OptionValue) -> Option:

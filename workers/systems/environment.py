@@ -246,7 +246,7 @@ def load_environment(file: Path, config: CampaignConfig) -> SystemUnderTest:
         import_beside(environment_id.rpartition(":")[0], folder)
         # Without checks that print.
         env = gymnasium.make(environment_id, disable_env_checker=True, **given)
-    parameters = tuple(space_parameters(config))
+    parameters = tuple(space_parameters(config, where))
     environment = Environment(env, policy, [each.name for each in parameters], where)
     check_whole(environment.whole, config, where, "environment")
     step = choice.step or _step_of(env.unwrapped)
@@ -275,6 +275,7 @@ def load_environment(file: Path, config: CampaignConfig) -> SystemUnderTest:
             options=tuple(fixed_option(name, value) for name, value in sorted(choice.options.items())),
             variants=("nominal",),
             noisy=() if choice.noisy in {False, ()} else ("nominal",),
+            timed=True,
             max_horizon=step * MAX_STEPS,
             default_horizon=config.horizon,
             seed_bits=SEED_BITS,

@@ -5,6 +5,7 @@ variables in lower case, with `_` for everything else: `tank[1].level` is `tank_
 """
 
 import atexit
+import math
 import re
 import shutil
 import zipfile
@@ -20,7 +21,7 @@ from ...schemas.file.space import SystemChoice
 from ...schemas.system import OptionValue, Parameter, SystemSpec, Variant, timed_columns
 from ...schemas.trajectory.input_signal import InputSignal
 from ...schemas.trajectory.trajectory import Floats, Trajectory, Visual
-from ..faults import NOT_OF_SYSTEMS, fault_text
+from ..faults import NOT_OF_SYSTEMS
 from .base import Cancelled, Progress, SystemUnderTest, checked_options
 from .declared import DeclaredFiles, WithSpec, declared_files
 from .described import (
@@ -29,7 +30,9 @@ from .described import (
     check_whole,
     fixed_option,
     name_of,
+    of_campaign,
     own_name,
+    own_words,
     space_parameters,
     steps_within,
 )
@@ -136,8 +139,7 @@ class Library:
 
     def blamed(self, error: Exception) -> str:
         """Return an error in words, with the last ones of the FMU."""
-        text = str(error) if type(error) is Exception else fault_text(error)
-        return shortened(". ".join([text.rstrip("."), *self._said[-1:]]))
+        return shortened("; ".join([own_words(error), *self._said[-1:]]))
 
 
 class Unit(NamedTuple):
@@ -202,7 +204,7 @@ class FmuSystem(SystemUnderTest):
             starts[unit.seeded] = seed
         experiment = unit.description.defaultExperiment
         begin = float((experiment and experiment.startTime) or 0.0)
-        instance = unit.library.instance()
+        instance, reached = unit.library.instance(), [begin]
         try:
             found = fmpy.simulate_fmu(
                 unit.folder,
@@ -214,14 +216,14 @@ class FmuSystem(SystemUnderTest):
                 start_values=starts,
                 input=self._inputs(given, starts, begin, steps, horizon),
                 output=[each.name for each in unit.recorded],
-                step_finished=_stepped(begin, progress),
+                step_finished=_stepped(reached, progress),
                 model_description=unit.description,
                 fmu_instance=instance,
             )
         except (SimulationError, Cancelled, *NOT_OF_SYSTEMS):
             raise
         except Exception as error:  # noqa: BLE001  (of fmpy and of the FMU)
-            raise SimulationError(unit.library.blamed(error)) from None
+            raise SimulationError(f"after t = {reached[-1] - begin:g} s: {unit.library.blamed(error)}") from None
         finally:
             unit.library.free()
         rows = _on_steps(found["time"], begin, unit.step)
@@ -278,6 +280,8 @@ def load_fmu(file: Path, config: CampaignConfig) -> SystemUnderTest:
     place = f"{where}: system.fmu: {choice.fmu}"
     if not path.is_file():
         raise DefinitionError(f"{place}: there is no such file in {folder}")
+    if not zipfile.is_zipfile(path):
+        raise DefinitionError(f"{place}: this file is no FMU, which is a zip archive")
     with blaming(place):
         # Tools differ in what they write besides; what a simulation needs is checked when it begins.
         description = fmpy.read_model_description(str(path), validate=False)
@@ -323,6 +327,7 @@ def load_fmu(file: Path, config: CampaignConfig) -> SystemUnderTest:
             options=tuple(fixed_option(name, value) for name, value in sorted(choice.options.items())),
             variants=("nominal",),
             noisy=("nominal",) if choice.noisy else (),
+            timed=True,
             max_horizon=step * MAX_STEPS,
             default_horizon=config.horizon,
             seed_bits=SEED_BITS,
@@ -386,28 +391,31 @@ def _unit_of(variable: Any) -> str:
     return "" if found == "1" else str(found)
 
 
-def _limit(variable: Any, end: str) -> float | None:
-    found = getattr(variable, end)
-    if found is None and variable.declaredType is not None:
-        found = getattr(variable.declaredType, end)
-    return None if found is None else float(found)
+def _range(variable: Any) -> tuple[float, float]:
+    """Return the range of a variable, or that of its type."""
+    ends = list[float]()
+    for end, without in (("min", -math.inf), ("max", math.inf)):
+        found = getattr(variable, end)
+        if found is None and variable.declaredType is not None:
+            found = getattr(variable.declaredType, end)
+        ends.append(without if found is None else float(found))
+    return ends[0], ends[1]
 
 
 def _parameters(variables: Variables, config: CampaignConfig, where: str) -> Iterator[Parameter]:
     """Yield the parameters of `[space]` with the units of the FMU; refuse other units, and values outside its range."""
-    for each in space_parameters(config):
+    for each in space_parameters(config, where):
         variable = variables.settable(each.name, f"{where}: space")
         unit = _unit_of(variable)
         if each.unit and unit and each.unit != unit:
             raise DefinitionError(
                 f"{where}: space: {each.name} is in {unit}, says the FMU, and not in {each.unit}; give its range in it"
             )
-        low, high = (_limit(variable, end) for end in ("min", "max"))
-        if (low is not None and each.low < low) or (high is not None and each.high > high):
-            allowed = f"[{'-inf' if low is None else f'{low:g}'}, {'inf' if high is None else f'{high:g}'}]"
+        low, high = _range(variable)
+        if each.low < low or each.high > high:
             raise DefinitionError(
-                f"{where}: space: {each.name} = [{each.low:g}, {each.high:g}] goes beyond {allowed}, its range in the "
-                "FMU"
+                f"{where}: space: {each.name} = [{each.low:g}, {each.high:g}] goes beyond [{low:g}, {high:g}], its "
+                "range in the FMU"
             )
         yield each.model_copy(update={"unit": each.unit or unit})
 
@@ -437,13 +445,37 @@ def _fixed(variables: Variables, choice: SystemChoice, names: Mapping[str, Any],
     """Return the start values that the file gives as options, by the names of the variables."""
     found = dict[str, Any]()
     for name, value in choice.options.items():
-        variable = variables.settable(name, f"{where}: system", list(SystemChoice.model_fields))
+        place = f"{where}: system"
+        if hint := of_campaign(name):
+            raise DefinitionError(f"{place}: {hint}{name} is no variable of the FMU")
+        variable = variables.settable(name, place, list(SystemChoice.model_fields))
         if name in names:
-            raise DefinitionError(f"{where}: system.{name}: is a parameter of [space], too; leave out one of them")
+            raise DefinitionError(f"{place}.{name}: is a parameter of [space], too; leave out one of them")
         if isinstance(value, str) != (variable.type == "String"):
-            raise DefinitionError(f"{where}: system.{name}: {value!r} is no value of a {variable.type}")
+            raise DefinitionError(f"{place}.{name}: {value!r} is no value of a {variable.type}; {_takes(variable)}")
+        if not isinstance(value, str) and not _fits(variable, value):
+            raise DefinitionError(f"{place}.{name}: {value:g} is not allowed; {_takes(variable)}")
         found[variable.name] = typed(variable, value)
     return found
+
+
+def _fits(variable: Any, value: float) -> bool:
+    """Whether a variable takes a number: by its type and its range."""
+    if variable.type == "Boolean":
+        return value in {0.0, 1.0}
+    low, high = _range(variable)
+    return low <= value <= high and (_is_real(variable) or float(value).is_integer())
+
+
+def _takes(variable: Any) -> str:
+    """Return the values of a variable in words."""
+    if variable.type == "String":
+        return "give text in quotes"
+    if variable.type == "Boolean":
+        return "give 0 or 1"
+    low, high = _range(variable)
+    limits = "" if (low, high) == (-math.inf, math.inf) else f" from {low:g} to {high:g}"
+    return f"give a {'number' if _is_real(variable) else 'whole number'}{limits}"
 
 
 def _logger(description: Any, said: list[str]) -> Callable[..., None]:
@@ -458,16 +490,12 @@ def _logger(description: Any, said: list[str]) -> Callable[..., None]:
     return log
 
 
-def _stepped(begin: float, progress: Progress) -> Callable[[float, Any], bool]:
-    """Return the function that is called after every step."""
-    last, count = begin, 0
+def _stepped(reached: list[float], progress: Progress) -> Callable[[float, Any], bool]:
+    """Return the function that is called after every step; the time of the last one is the end of `reached`."""
 
     def finished(time: float, recorder: Any) -> bool:  # noqa: ARG001  (of fmpy)
-        nonlocal last, count
-        if time < last:
-            raise SimulationError(f"the FMU went back from t = {last:g} s to {time:g} s")
-        count, last = count + 1, time
-        progress(count)
+        reached.append(time)
+        progress(len(reached))
         return True
 
     return finished

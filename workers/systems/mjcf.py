@@ -19,12 +19,21 @@ import numpy as np
 from ...schemas.errors import DefinitionError, SimulationError, meant, shortened
 from ...schemas.file.config import CampaignConfig
 from ...schemas.file.space import SystemChoice
-from ...schemas.system import OptionValue, SystemSpec, Variant, timed_columns
+from ...schemas.system import OptionValue, Parameter, SystemSpec, Variant, timed_columns
 from ...schemas.trajectory.input_signal import InputSignal
 from ...schemas.trajectory.trajectory import Trajectory, Visual
 from .base import Progress, SystemUnderTest, checked_options
 from .declared import DeclaredFiles, WithSpec, declared_files
-from .described import blaming, check_horizon, fixed_option, name_of, own_name, space_parameters, steps_within
+from .described import (
+    blaming,
+    check_horizon,
+    fixed_option,
+    name_of,
+    of_campaign,
+    own_name,
+    space_parameters,
+    steps_within,
+)
 from .files import code_beside
 from .fingerprint import versions_of
 from .policy import Policy, load_policy
@@ -132,7 +141,10 @@ class MjcfSystem(SystemUnderTest):
             rows[k, 1:] = row
             progress(k)
             if WARNINGS:  # it has put the model back to its first state, and would go on from there
-                raise SimulationError(f"MuJoCo: {shortened(WARNINGS[0])} (after t = {rows[k, 0]:g} s)")
+                raise SimulationError(
+                    f"MuJoCo: {shortened(WARNINGS[0])} (after t = {rows[k, 0]:g} s); give the model a smaller "
+                    "timestep, or starts that it can simulate"
+                )
         return Trajectory(self._spec.own_columns, rows)
 
     def visual(self, trajectory: Trajectory) -> Visual:  # noqa: ARG002  (the same for all)
@@ -201,11 +213,14 @@ class MjcfSystem(SystemUnderTest):
             values = np.asarray(returned)
             if values.dtype.kind not in "fiub" or values.size != data.ctrl.size:
                 raise SimulationError(
-                    f"{policy.path.name} returned {shortened(repr(returned))}, and there are {data.ctrl.size} actuators"
+                    f"{policy.path.name} returned {shortened(repr(returned))} at t = {data.time:g} s, and not a number "
+                    f"for each of the {data.ctrl.size} actuators"
                 )
             data.ctrl[:] = values.ravel()
         if not np.isfinite(data.ctrl).all():
-            raise SimulationError(f"{policy.path.name} gives an actuator {shortened(repr(data.ctrl.tolist()))}")
+            raise SimulationError(
+                f"{policy.path.name} gives an actuator {shortened(repr(data.ctrl.tolist()))} at t = {data.time:g} s"
+            )
 
 
 def load_mjcf(file: Path, config: CampaignConfig) -> SystemUnderTest:
@@ -231,19 +246,18 @@ def load_mjcf(file: Path, config: CampaignConfig) -> SystemUnderTest:
         model = mujoco.MjModel.from_xml_path(str(path))
         # All that it consists of: included models, meshes, textures.
         used = [Path(each) for each in mujoco.mju_getXMLDependencies(str(path))]
+    keyframe = _keyframe(model, choice, where)
     policy = _controller(choice, folder, where)
     places = _places(mujoco, model)
-    parameters = tuple(
-        each.model_copy(update={"unit": each.unit or (places[each.name].unit if each.name in places else "")})
-        for each in space_parameters(config)
-    )
+    parameters = tuple(space_parameters(config, where))
+    if policy is None or policy.start is None:
+        parameters = tuple(_set_by_name(model, each, places, policy, where) for each in parameters)
     names = [each.name for each in parameters]
-    takes_seed = _check_start(policy, names, places, {each.name for each in parameters if each.signal}, where)
+    takes_seed = policy is not None and policy.start is not None and _check_reset(policy, names, where)
     substeps = _substeps(choice.step, float(model.opt.timestep), where)
     step = substeps * float(model.opt.timestep)
     check_horizon(config.horizon, step, where)
     columns = _columns(places, choice.columns, where)
-    keyframe = _keyframe(model, choice, where)
     try:
         files = DeclaredFiles(
             declared_files(
@@ -260,6 +274,7 @@ def load_mjcf(file: Path, config: CampaignConfig) -> SystemUnderTest:
             options=tuple(fixed_option(name, value) for name, value in sorted(choice.options.items())),
             variants=("nominal",),
             noisy=("nominal",) if takes_seed else (),
+            timed=True,
             max_horizon=step * MAX_STEPS,
             default_horizon=config.horizon,
             seed_bits=SEED_BITS,
@@ -324,31 +339,59 @@ def _sensor_unit(mujoco: Any, model: Any, k: int) -> str:
     return SENSOR_UNITS.get(kind, "")
 
 
-def _check_start(
-    policy: Policy | None, names: Sequence[str], places: Mapping[str, Place], signals: set[str], where: str
-) -> bool:
-    """Refuse a parameter that is set nowhere; return whether the function `reset` takes a seed."""
-    if policy is not None and policy.start is not None:
-        taken = inspect.signature(policy.start).parameters
-        every = any(each.kind is inspect.Parameter.VAR_KEYWORD for each in taken.values())
-        if not every and (missing := next((name for name in names if name not in taken), None)):
+def _set_by_name(
+    model: Any, parameter: Parameter, places: Mapping[str, Place], policy: Policy | None, where: str
+) -> Parameter:
+    """Return a parameter with the unit of what it sets.
+
+    Raises:
+        DefinitionError: it sets nothing, is in another unit or beyond the range of its joint, or is set by the
+            controller.
+
+    """
+    name, settable = parameter.name, [name for name, place in places.items() if place.array != "sensordata"]
+    if name not in settable:
+        file = policy.path.name if policy else "the file of a controller"
+        raise DefinitionError(
+            f"{where}: space: {meant(name, settable)}{name!r} is none of {_listed(settable)}; set others by a "
+            f"function reset(model, data, *, {name}) in {file}"
+        )
+    place = places[name]
+    if parameter.signal and place.array != "ctrl":
+        raise DefinitionError(f"{where}: space: {name} is no actuator, and no input over time")
+    if place.array == "ctrl" and policy is not None:
+        raise DefinitionError(f"{where}: space: {name} is set by the controller at every step; leave one of both out")
+    if parameter.unit and place.unit and parameter.unit != place.unit:
+        raise DefinitionError(f"{where}: space: {name} is in {place.unit}, and not in {parameter.unit}")
+    for joint in range(model.njnt):
+        if place.array == "qpos" and model.jnt_qposadr[joint] == place.offset and model.jnt_limited[joint]:
+            low, high = model.jnt_range[joint].tolist()
+            if parameter.low < low or parameter.high > high:
+                raise DefinitionError(
+                    f"{where}: space: {name} = [{parameter.low:g}, {parameter.high:g}] goes beyond [{low:g}, "
+                    f"{high:g}], the range of its joint"
+                )
+    return parameter.model_copy(update={"unit": parameter.unit or place.unit})
+
+
+def _check_reset(policy: Policy, names: Sequence[str], where: str) -> bool:
+    """Refuse parameters that are not those of the function `reset`; return whether it takes a seed."""
+    assert policy.start is not None, "of a function"
+    taken = inspect.signature(policy.start).parameters
+    every = any(each.kind is inspect.Parameter.VAR_KEYWORD for each in taken.values())
+    if not every and (missing := next((name for name in names if name not in taken), None)):
+        raise DefinitionError(
+            f"{where}: space: the function reset in {policy.path.name} sets the first state, and has no argument "
+            f"{missing!r}; write def reset(model, data, *, {', '.join(names)}): ..."
+        )
+    needed = [each for each in list(taken.values())[2:] if each.default is inspect.Parameter.empty]
+    for each in needed:
+        if each.kind in {each.KEYWORD_ONLY, each.POSITIONAL_OR_KEYWORD} and each.name not in {*names, "seed"}:
             raise DefinitionError(
-                f"{where}: space: the function reset in {policy.path.name} has no argument {missing!r}; write "
-                f"def reset(model, data, *, {', '.join(names)}): ..."
+                f"{where}: space: {each.name} has no range, and the function reset in {policy.path.name} takes it; "
+                "give it one, or a default there"
             )
-        return "seed" in taken
-    settable = [name for name, place in places.items() if place.array != "sensordata"]
-    for name in names:
-        if name not in settable:
-            hint = meant(name, settable)
-            file = policy.path.name if policy else "the file of a controller"
-            raise DefinitionError(
-                f"{where}: space: {hint}{name!r} is none of {_listed(settable)}; set others by a function "
-                f"reset(model, data, *, {name}) in {file}"
-            )
-        if name in signals and places[name].array != "ctrl":
-            raise DefinitionError(f"{where}: space: {name} is no actuator, and no input over time")
-    return False
+    return "seed" in taken
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -392,7 +435,10 @@ def _keyframe(model: Any, choice: SystemChoice, where: str) -> int:
     for name in choice.options:
         if name != KEYFRAME:
             hint = meant(name, [*SystemChoice.model_fields, KEYFRAME])
-            raise DefinitionError(f"{where}: system: {hint}a model for MuJoCo has no option {name!r}, only {KEYFRAME}")
+            raise DefinitionError(
+                f"{where}: system: {of_campaign(name) or hint}a model for MuJoCo has no option {name!r}, "
+                f"only {KEYFRAME}; a value of a function `reset` is a default there"
+            )
     if KEYFRAME not in choice.options:
         return -1
     named = choice.options[KEYFRAME]

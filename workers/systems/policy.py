@@ -4,10 +4,12 @@ import importlib
 import importlib.metadata
 import inspect
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ...schemas.errors import DefinitionError
+from ...schemas.errors import DefinitionError, meant
+from ..faults import NOT_OF_SYSTEMS, fault_text
 from .files import loaded_code
 from .fingerprint import file_sha256
 
@@ -46,12 +48,31 @@ def load_policy(reference: str, folder: Path, arguments: str = "observation") ->
 def _of_code(path: Path, name: str, arguments: str) -> Policy:
     code = loaded_code(path)
     found = getattr(code.module, name, None)
+    if found is None:
+        known = [each for each, value in vars(code.module).items() if callable(value)]
+        hint = meant(name, known)
+        raise DefinitionError(f"{path}: {hint}there is no function {name!r} in it; write def {name}({arguments}): ...")
     if inspect.isclass(found):
-        found = found()
+        try:
+            found = found()
+        except NOT_OF_SYSTEMS:
+            raise
+        except BaseException as error:  # noqa: BLE001  (any: untrusted code)
+            raise DefinitionError(f"{path}: {name}() without arguments: {fault_text(error)}") from None
     if not callable(found):
-        raise DefinitionError(f"{path}: there is no function {name!r} in it; write def {name}({arguments}): ...")
+        raise DefinitionError(f"{path}: {name} cannot be called; give it def __call__(self, {arguments}): ...")
+    _check_arguments(found, f"{path}: {name}", arguments)
     start = getattr(code.module, "reset", None)
     return Policy(found, getattr(found, "reset", None), start, path, code.digests, code.versions)
+
+
+def _check_arguments(found: Callable[..., Any], place: str, arguments: str) -> None:
+    """Refuse a function that takes other arguments, where Python knows them."""
+    with suppress(ValueError):  # of some that are not written in Python
+        try:
+            inspect.signature(found).bind(*arguments.split(", "))
+        except TypeError as error:
+            raise DefinitionError(f"{place} is called with ({arguments}): {error}") from None
 
 
 def _of_model(path: Path, text: str, name: str) -> Policy:

@@ -76,6 +76,10 @@ def system_options(reference: str | None) -> list[str]:
     return ["--system", found] if in_file(found) else []
 
 
+MODELS = {".fmu": "fmu", ".xml": "mjcf"}
+"""Keys of `[system]` by the files that they name."""
+
+
 def ask(
     command: str,
     *arguments: str,
@@ -196,7 +200,7 @@ def installed_systems() -> dict[str, SystemSpec | str]:
         raise PerfboundError(f"the installed systems cannot be listed: {reason}; reinstall perfbound") from None
 
 
-OTHER_KEYS = ("space: ", "system.")
+OTHER_KEYS = ("space: ", "system.", "system: ", "horizon: ")
 
 
 def system_spec(reference: str, where: str) -> SystemSpec:
@@ -223,6 +227,11 @@ def system_spec(reference: str, where: str) -> SystemSpec:
     if name not in known:
         near = meant(name, known)
         allowed = ", ".join(sorted(known))
+        if (kind := MODELS.get(Path(name).suffix)) is not None:
+            raise CampaignError(
+                f"{where}: {name!r} is named by a file: write [system] with {kind} = {Path(name).name!r} and [space] "
+                "with the ranges of its parameters into a file beside it, and give that one"
+            )
         raise CampaignError(f"{where}: {name!r} is not an installed system; {near}allowed are {allowed}")
     if isinstance(spec := known[name], str):
         raise CampaignError(f"{where}: {spec}")

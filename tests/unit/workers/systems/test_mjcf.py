@@ -207,6 +207,11 @@ def _parsed(campaign: str) -> Any:
         ("columns = { tip_angle = 'deg' }", START, "system.columns: tip_angle is in rad, and not in deg"),
         ('keyframe = "tlted"', START, "system.keyframe: 'tlted' is none of tilted"),
         ("stp = 0.01", START, "system: did you mean 'step'"),
+        ("max_tests = 3", START, "system: put the key `max_tests` of the campaign above the first"),
+        ("", "qpos_hinge = { low = -1, high = 1, unit = 'deg' }", "space: qpos_hinge is in rad, and not in deg"),
+        ("", "qpos_Hinge = [0, 1]", "space: names are in lower case here; write qpos_hinge for 'qpos_Hinge'"),
+        ('controller = "control.py:balance"', "ctrl_motor = [0, 1]", "space: ctrl_motor is set by the controller"),
+        ('controller = "control.py:balanced"', START, "system.controller: .*did you mean 'balance'"),
         ('controller = "control.py:blance"', START, "system.controller: .*no function 'blance'.*model, data"),
         ('controller = "cntrol.py:balance"', START, "system.controller: .*no such Python file"),
     ],
@@ -217,8 +222,40 @@ def test_a_name_that_cannot_be_is_refused_with_its_place(pendulum: Make, keys: s
 
 
 def test_a_reset_without_a_parameter_is_refused(pendulum: Make) -> None:
-    with pytest.raises(DefinitionError, match=r"reset in control\.py has no argument 'qvel_hinge'; write def reset"):
+    with pytest.raises(
+        DefinitionError,
+        match=r"reset in control\.py sets the first state, and has no argument 'qvel_hinge'; write def reset",
+    ):
         pendulum(CONTROLLED, control=BALANCE + "\ndef reset(model, data, *, qpos_hinge):\n    pass\n")
+
+
+def test_a_reset_whose_argument_has_no_range_is_refused(pendulum: Make) -> None:
+    control = BALANCE + "\ndef reset(model, data, *, mass, slope, seed, wind=0):\n    pass\n"
+    with pytest.raises(DefinitionError, match=r"slope has no range, and the function reset in control\.py takes it"):
+        pendulum(CONTROLLED, "mass = [1, 2]", control=control)
+
+
+def test_a_start_beyond_the_range_of_its_joint_is_refused(pendulum: Make, tmp_path: Path) -> None:
+    limited = POLE.replace('axis="0 1 0"', 'axis="0 1 0" limited="true" range="-20 20"')
+    model = MODEL.replace('<include file="pole.xml"/>', limited.replace("<mujoco>", "").replace("</mujoco>", ""))
+    with pytest.raises(DefinitionError, match=r"qpos_hinge = \[-0\.5, 0\.5\] goes beyond \[-0\.349066, 0\.349066\]"):
+        pendulum(model=model)
+
+
+@pytest.mark.parametrize(
+    ("control", "message"),
+    [
+        (
+            "class balance:\n    def __init__(self, model): pass\n",
+            r"control\.py: balance\(\) without arguments: TypeError",
+        ),
+        ("class balance:\n    pass\n", r"control\.py: balance cannot be called; give it def __call__"),
+        ("def balance(observation): pass\n", r"control\.py: balance is called with \(model, data\): too many"),
+    ],
+)
+def test_a_controller_that_cannot_be_called_is_refused(pendulum: Make, control: str, message: str) -> None:
+    with pytest.raises(DefinitionError, match=f"system.controller: .*{message}"):
+        pendulum(CONTROLLED, control=control)
 
 
 @pytest.mark.parametrize("returned", ["[1.0, 2.0]", "'left'", "[float('nan')]"])
