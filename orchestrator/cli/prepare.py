@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ..prepare.init.questions import DEFAULT, QUESTIONS, question_help
+from ..prepare.init.questions import DEFAULT, IN_MANY, QUESTIONS, question_help
 from .campaigns import campaign_argument, workers_option
 from .early import check_reference
 from .group import RUN_DIRECTORY, cli, output_console
@@ -21,10 +21,9 @@ if TYPE_CHECKING:
 @click.argument("system", callback=check_reference)
 @click.option(
     "--question",
-    default=DEFAULT,
+    default="",
     metavar=f"[{'|'.join(QUESTIONS)}]",
-    show_default=True,
-    help=question_help(),
+    help=f"{question_help()} Default: {DEFAULT}, of more than three parameters {IN_MANY}.",
 )
 @click.option("--specification", default=None, help="Formula to test; by default a harmless one over the first column.")
 @click.option("--horizon", type=click.FloatRange(0, 86_400), default=None, help="Seconds; default: the system's own.")

@@ -31,6 +31,10 @@ class ChildRolloutError(PerfboundError):
     """A rollout gave no trajectory; the text names its start."""
 
 
+class SlowRolloutError(ChildRolloutError):
+    """A rollout has not ended in its time."""
+
+
 @dataclass(frozen=True, slots=True)
 class ChildSystem:
     """A system, and what its rollouts may take."""
@@ -65,7 +69,8 @@ def simulate_in_child(
         failed = next(missing, requests[-1])
         hang = f"the rollout gave no result within {system.limit:g} s, and was ended"
         reason = f"{hang}{error.place}" if isinstance(error, HangError) else error
-        raise ChildRolloutError(f"{alone(failed).words(system.spec)}: {reason}") from None
+        kind = SlowRolloutError if isinstance(error, HangError) else ChildRolloutError
+        raise kind(f"{alone(failed).words(system.spec)}: {reason}") from None
 
 
 def finished(

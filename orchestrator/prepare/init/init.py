@@ -33,9 +33,9 @@ from ..rounded import clip_around, covering, rounded_up
 from ..size import LEAST_COST, WORKERS, first_samples, first_size, proposed_batch
 from . import values
 from .file import campaign_text
-from .pilot import SECONDS, Pilot, PilotError, PilotPlan, run_pilot
-from .questions import QUESTIONS, FirstCampaign, unknown_question
-from .values import FirstValues
+from .pilot import SECONDS, Pilot, PilotError, PilotPlan, SlowPilotError, run_pilot
+from .questions import DEFAULT, IN_MANY, QUESTIONS, FirstCampaign, unknown_question
+from .values import FirstValues, Score
 
 REACH = 2.0
 """`alpha` is at least so many times what the tests could reach if all were at one start."""
@@ -57,7 +57,7 @@ class Wish:
     reference: str
     """The system, a name, FILE.py:NAME or a campaign file."""
     question: str
-    """A key of `QUESTIONS`."""
+    """A key of `QUESTIONS`; empty for the usual one of the system."""
     specification: str | None
     """None for a harmless formula."""
     horizon: float | None
@@ -68,21 +68,23 @@ class Wish:
 def write_first_campaign(wish: Wish) -> Iterator[str]:
     """Write a campaign file for a system, and yield lines of progress.
 
-    Where a rollout of the pilot fails, the constants are guesses, and the file says so.
+    Where a pilot takes too long, the constants are guesses, and the file says so.
 
     Raises:
         CampaignError: the system is not installed, or cannot be loaded.
+        PilotError: a rollout of the pilot failed.
         PerfboundError: the question does not fit the system, the specification is none of its columns, or the file
             exists or cannot be written.
 
     """
-    if wish.question not in QUESTIONS:
+    if wish.question and wish.question not in QUESTIONS:
         raise PerfboundError(unknown_question(wish.question))
     if wish.out is not None:  # first: to load a system may take seconds
         _check_unwritten(wish.out)
-    question = QUESTIONS[wish.question]
     known = named_campaign(wish.reference)
     spec = as_in_campaign(system_spec(wish.reference, "SYSTEM"), known).as_simulated
+    wish = replace(wish, question=wish.question or (DEFAULT if len(spec.parameters) <= LATTICE_PARAMETERS else IN_MANY))
+    question = QUESTIONS[wish.question]
     if wish.specification is None and known is not None and known.specification:
         wish = replace(wish, specification=known.specification)
     folder = Path(wish.reference).parent if known else Path()
@@ -90,17 +92,11 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
     variants, choice = _variants(spec, wish.question), _system_choice(wish.reference, out)
     horizon = chosen_horizon(spec, wish.horizon)
     score = values.score(wish.specification, spec)
+    yield f"{spec.name}: {_about(wish.question, spec)}"
     yield f"{spec.name}: a pilot of a few rollouts, for about {SECONDS:g} s at most"
-    found, fault = None, ""
     limit = SECONDS if known is None else min(SECONDS, known.deadline)
-    try:
-        found = run_pilot(PilotPlan(wish.reference, spec, choice.options, variants, horizon, limit), score)
-        choice = _with_files(choice, found.undeclared)
-        basis, found = _proposal(wish, spec, found)
-        news = f"{question.values} proposed from {found.size}"
-    except PilotError as error:
-        fault = f"because the pilot failed: {error}"
-        basis, news = _guess(wish, spec, horizon, fault), f"{question.values} guessed, {fault}"
+    plan_of_pilot = PilotPlan(wish.reference, spec, choice.options, variants, horizon, limit)
+    choice, basis, found, news = _piloted(wish, choice, plan_of_pilot, score)
     if basis.horizon == 0 and wish.horizon:
         raise PerfboundError(
             f"--horizon {wish.horizon:g}: rollouts of {spec.name} are one sample, which has none; remove this option"
@@ -125,14 +121,39 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
         raise _exists(out) from None
     yield f"{out}: {news}"
     yield from scope(plan.plans(written, spec), listed_alone=True)
-    yield from _next_steps(wish, campaign, out, failed=bool(fault))
+    yield from _next_steps(wish, campaign, out, failed=found is None)
+
+
+def _piloted(
+    wish: Wish, choice: SystemChoice, pilot: PilotPlan, score: Score
+) -> tuple[SystemChoice, FirstValues, Pilot | None, str]:
+    """Return the system with the files that it reads, the numbers, the pilot if it has enough rollouts, and the news.
+
+    Raises:
+        PilotError: a rollout failed.
+
+    """
+    question = QUESTIONS[wish.question]
+    try:
+        found = run_pilot(pilot, score)
+        basis, kept = _proposal(wish, pilot.spec, found)
+        return _with_files(choice, found.undeclared), basis, kept, f"{question.values} proposed from {found.size}"
+    except SlowPilotError as error:
+        fault = f"because the pilot took too long: {error}"
+        return choice, _guess(wish, pilot.spec, pilot.horizon, fault), None, f"{question.values} guessed, {fault}"
+    except PilotError as error:
+        command = f"perfbound check-system {shlex.quote(wish.reference)}"
+        raise PilotError(f"the pilot failed, and nothing is written: {error}; for all faults: {command}") from None
 
 
 def _next_steps(wish: Wish, campaign: FirstCampaign, out: Path, *, failed: bool) -> Iterator[str]:
     """Yield what to do with the file."""
     drawn, file = campaign.question.drawn, shlex.quote(str(out))
     if failed:
-        yield f"Fix this first, then write the file anew. For all faults: perfbound check-system {file}"
+        yield (
+            f"Shorten the horizon or the rollouts, and write the file anew; or replace the guesses. For all faults: "
+            f"perfbound check-system {file}"
+        )
         return
     if campaign.noisy and wish.question in CALIBRATED and len(campaign.spec.parameters) <= LATTICE_PARAMETERS:
         yield (
@@ -145,6 +166,19 @@ def _next_steps(wish: Wish, campaign: FirstCampaign, out: Path, *, failed: bool)
         yield f"The formula is a stand-in, and the constants fit it alone. For yours: {again}"
     edit = "Edit its specification. " if not wish.specification and drawn else ""
     yield f"{edit}Check the system: perfbound check-system {file}. Then: perfbound run {file}"
+
+
+def _about(question: str, spec: SystemSpec) -> str:
+    """Return what will be claimed, and about which starts."""
+    row, count = QUESTIONS[question], len(spec.parameters)
+    if row.drawn:
+        starts = "starts that are drawn from the ranges"
+    elif count > LATTICE_PARAMETERS:
+        number = FIXED_STARTS["rigorous"].default
+        starts = f"the worst of {number:,} listed starts alone; `--question how-often` is about the whole ranges"
+    else:
+        starts = "all starts of the ranges"
+    return f"{count} parameter{'s' * (count > 1)}, question `{question}`: {row.words} The claim is about {starts}"
 
 
 def _check_unwritten(out: Path) -> Path:
@@ -279,7 +313,11 @@ def _noisy(name: ProblemName, spec: SystemSpec) -> bool:
 def _guess(wish: Wish, spec: SystemSpec, horizon: float, fault: str) -> FirstValues:
     """Return numbers to replace, where no pilot shows better ones."""
     question = QUESTIONS[wish.question]
-    unfit = "" if question.drawn else "The constants below do not follow from this formula, because the pilot failed."
+    unfit = (
+        ""
+        if question.drawn
+        else "The constants below do not follow from this formula, because the pilot took too long."
+    )
     return FirstValues(
         source=f"{question.values.capitalize()} GUESSED, {fault}",
         horizon=horizon,

@@ -18,6 +18,7 @@ from ..child_rollouts import (
     BatchCost,
     ChildRolloutError,
     ChildSystem,
+    SlowRolloutError,
     cost_in_batch,
     file_size,
     finished,
@@ -35,7 +36,11 @@ LARGEST = 1e100
 
 
 class PilotError(PerfboundError):
-    """The pilot has no usable rollouts."""
+    """A rollout of the pilot failed."""
+
+
+class SlowPilotError(PilotError):
+    """The pilot has too few rollouts in its time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +103,8 @@ def run_pilot(plan: PilotPlan, score: Score) -> Pilot:
     """Return the pilot, as far as it comes in its time.
 
     Raises:
-        PilotError: a rollout fails or would be refused by a campaign, or there are too few.
+        SlowPilotError: there are too few rollouts.
+        PilotError: a rollout fails, or would be refused by a campaign.
         PerfboundError: a rollout has no score.
 
     """
@@ -119,7 +125,7 @@ def run_pilot(plan: PilotPlan, score: Score) -> Pilot:
             raise PilotError(f"{request.words(plan.spec)}: its values are above {LARGEST:g}")
     whole = min(len(found) // plan.seeds(variant) for variant, found in scores.items())
     if horizon is None or whole < FEWEST_STARTS:
-        raise PilotError(f"after {SECONDS:g} s it has the rollouts of {whole} starts, and needs {FEWEST_STARTS}")
+        raise SlowPilotError(f"after {SECONDS:g} s it has the rollouts of {whole} starts, and needs {FEWEST_STARTS}")
     shaped = {
         variant: np.array(found[: whole * plan.seeds(variant)]).reshape(whole, -1) for variant, found in scores.items()
     }
@@ -152,6 +158,8 @@ def _finished(
             beside.in_batch = cost_in_batch(Path(name), len(requests))
             beside.size = file_size(Path(name))
             yield from finished(system, requests, Path(name))
+    except SlowRolloutError as error:
+        raise SlowPilotError(str(error)) from None
     except ChildRolloutError as error:
         raise PilotError(str(error)) from None
     except Stopped as stop:

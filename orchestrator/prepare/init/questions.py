@@ -321,7 +321,8 @@ QUESTIONS: Mapping[str, Question] = {
     ),
 }
 """By the value of `--question`; the first one is the default."""
-DEFAULT = next(iter(QUESTIONS))
+DEFAULT, IN_MANY = next(iter(QUESTIONS)), "how-often"
+"""The question for a system that is asked none, and for one of more than three parameters: it holds in any number."""
 
 
 def question_help() -> str:

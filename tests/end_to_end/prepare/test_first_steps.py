@@ -171,16 +171,15 @@ def test_a_wish_that_cannot_be_met_is_one_line_and_no_file(
         ("huge", "x = 0, seed 0: its values are above 1e+100"),
     ],
 )
-def test_a_pilot_that_fails_leaves_guesses_and_says_so(
+def test_a_pilot_that_fails_writes_nothing_and_says_what_to_do(
     folder: Processes, tmp_path: Path, system: str, reason: str
 ) -> None:
-    file = tmp_path / "c.toml"
-    written = folder.run("perfbound", "init", f"systems/bad.py:{system}", "--out", file)
-    assert (written.code, written.err) == (0, "")
-    assert f"the constants are guessed, because the pilot failed: {reason}" in written.out
-    text = file.read_text()
-    assert f"GUESSED, because the pilot failed: {reason}" in " ".join(text.replace("\n# ", " ").split())
-    assert (parse_campaign(text.encode(), "c.toml").system.python or "").endswith(f":{system}")
+    refused = folder.run("perfbound", "init", f"systems/bad.py:{system}", "--out", tmp_path / "c.toml")
+    assert refused.code == 1
+    assert refused.fault.startswith(f"perfbound: the pilot failed, and nothing is written: {reason}")
+    assert refused.fault.endswith(f"for all faults: perfbound check-system systems/bad.py:{system}")
+    assert "perfbound run" not in refused.out
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_question_that_needs_longer_rollouts_is_refused(folder: Processes, tmp_path: Path) -> None:
@@ -268,8 +267,10 @@ def test_a_failure_has_its_place_behind_what_was_printed(
 
 
 def test_a_failed_attempt_of_a_campaign_has_its_place(folder: Processes, tmp_path: Path) -> None:
-    file = tmp_path / "c.toml"
-    folder.run("perfbound", "init", "systems/bad.py:fails", "--out", file)
+    question = 'max_tests = 5\nclaims = [{ quantity = "failure_probability" }]\n'
+    text = f'horizon = 5\nspecification = "always (a >= 0)"\n{question}'
+    (folder.folder / "c.toml").write_text(f"{text}system.python = 'systems/bad.py:fails'\nspace.x = [0, 1]\n")
+    file = folder.folder / "c.toml"
     failed = folder.run("perfbound", "run", file, "--out", tmp_path / "run")
     assert failed.code == 1
     assert failed.last_line.count("ZeroDivisionError: float division by zero (bad.py, line 14)") == 1

@@ -58,12 +58,12 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_pilot_that_hangs_names_the_rollout_and_the_place(folder: Path) -> None:
     lines = list(write_first_campaign(Wish("own.py:hangs", "worst", "y >= 0.5", None, None)))
     reason = "x = 1, seed 2: the rollout gave no result within 0.5 s, and was ended in own.py, line "
-    assert says(lines[1], f"^hangs.toml: failed: {reason}")
+    assert says(lines[2], f"^hangs.toml: took too long: {reason}")
     assert says(lines[-1], "perfbound check-system hangs.toml")
     assert "perfbound run" not in lines[-1], "not before it is fixed"
     text = " ".join((folder / "hangs.toml").read_text().replace("\n# ", " ").split())
-    assert f"GUESSED, because the pilot failed: {reason}" in text
-    assert "do not follow from this formula, because the pilot failed." in text
+    assert f"GUESSED, because the pilot took too long: {reason}" in text
+    assert "do not follow from this formula, because the pilot took too long." in text
     assert "Put your formula here" not in text
     assert text.count("A guess: `perfbound calibrate` proposes") == 3, "clip, prior_mean and rkhs_norm"
     assert parse_campaign((folder / "hangs.toml").read_bytes(), "c").specification == "y >= 0.5"
