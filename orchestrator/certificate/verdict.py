@@ -41,6 +41,7 @@ from .words.advice import (
     instead_of_refuted,
 )
 from .words.bound_text import as_required, claim_unit, clip_words, margin_text, outward
+from .words.confidence import anyway, rests_on
 from .words.refutation_text import refutation_words
 from .words.text import CERTAIN, NO_SHARE, VACUOUS, claim_words, clip_in_words, nothing_shown
 
@@ -95,7 +96,8 @@ def campaign_verdict(
         found = replace(found, reasons=(*found.reasons, *_by_tolerance(predicate)))
     stated = claim.model_copy(update={"refuted": ("by a rollout",)}) if contradicted else claim
     is_clipped = violations.least is not None and config.clip is not None and violations.least <= config.clip[0]
-    return CampaignVerdict(
+    decisive = "" if found.word != "SHOWN" or found.by_rollouts else rests_on(predicate, config, required.bound)
+    verdict = CampaignVerdict(
         verdict=found.word,
         campaign=config.name,
         seed=config.seed,
@@ -114,7 +116,9 @@ def campaign_verdict(
         clipped=is_clipped,
         by_rollouts=found.by_rollouts,
         repeat=commands.repeat if violations.violations else "",
+        rests_on=decisive,
     )
+    return verdict.model_copy(update={"without_kernel": anyway(verdict, predicate)}) if decisive else verdict
 
 
 UNDER_REFUTED = "Not proven, an assumption is refuted"

@@ -53,6 +53,14 @@ class CampaignVerdict(Model):
         description="the verdict is about values that count as the nearer of these two beyond them; null where it is "
         "about the values themselves",
     )
+    rests_on: str = Field(
+        default="",
+        description="of SHOWN: the constants of which twice the norm bound, or half the length scales, would leave NOT "
+        "SHOWN; empty where each of these is still SHOWN",
+    )
+    without_kernel: str = Field(
+        default="", description="beside `rests_on`: what fresh starts prove without these constants, in a sentence"
+    )
     clipped: bool = Field(default=False, description="whether the worst robustness is at the lower clip, or below it")
     repeat: str = Field(description="command that simulates the worst rollout again; empty where none violates")
 

@@ -4,7 +4,9 @@ from collections.abc import Iterator
 
 from ....schemas.amounts import counted
 from ....schemas.errors import one_line
+from ....schemas.file.config import CampaignConfig
 from ....schemas.file.objectives import Quantity
+from ....schemas.file.problem_models import KernelProblem
 from ....schemas.result.certificate import CertificateClaim, MostStarts, Predicate, Sensitivity
 from ....schemas.result.known import ByRollouts, CampaignVerdict
 from ...campaign.clip import is_vacuous
@@ -18,6 +20,8 @@ CHANGES = {
     ("control", 0.0): "without the control of disturbances",
 }
 """Variations of the sensitivity, in the order of the sentence."""
+DOUBTS = {("rkhs_norm", 2.0), ("length_scale", 0.5)}
+"""The variations that decide whether SHOWN rests on a constant."""
 IN_UNIT: tuple[Quantity, ...] = ("rho_star", "robustness", "expected_robustness")
 """Quantities of a claim that have the unit of the robustness."""
 
@@ -82,8 +86,35 @@ def _bound_with(claim: CertificateClaim, row: Sensitivity, unit: str, required: 
     if row.bound is None or is_vacuous(row.bound, claim.sense, claim.by_clip):
         return "nothing, so NOT SHOWN"
     bound = f"{claim.sense} {outward(row.bound, claim.sense)} {unit}".rstrip()
-    enough = required is None or (row.bound >= required if claim.sense == ">=" else row.bound <= required)
-    return f"{bound}, still SHOWN" if enough else f"{bound}, so NOT SHOWN"
+    return f"{bound}, still SHOWN" if _is_enough(claim, row, required) else f"{bound}, so NOT SHOWN"
+
+
+def _is_enough(claim: CertificateClaim, row: Sensitivity, required: float | None) -> bool:
+    """Whether the bound with other constants still meets the requirement."""
+    if row.bound is None or is_vacuous(row.bound, claim.sense, claim.by_clip):
+        return False
+    return required is None or (row.bound >= required if claim.sense == ">=" else row.bound <= required)
+
+
+def rests_on(predicate: Predicate, config: CampaignConfig, required: float | None) -> str:
+    """Return the constants without whose exact size the first claim is not shown; empty for none.
+
+    A norm bound B that would have to be twice as large, or a length scale half as long, are mistakes that nothing in
+    the tests need show.
+    """
+    claim = predicate.claims[0]
+    rows = [row for row in predicate.sensitivity or () if row.claim == 0]
+    decisive = {row.constant for row in rows if (row.constant, row.factor) in DOUBTS}
+    decisive -= {
+        row.constant for row in rows if (row.constant, row.factor) in DOUBTS and _is_enough(claim, row, required)
+    }
+    norms = {each.rkhs_norm for each in config.problems if isinstance(each, KernelProblem)}
+    found = []
+    if "rkhs_norm" in decisive:
+        found.append(f"B = {norms.pop():g}" if len(norms) == 1 else "the norm bounds B")
+    if "length_scale" in decisive:
+        found.append("the length scale")
+    return " and ".join(found)
 
 
 def _of_fresh_starts(found: MostStarts, unit: str) -> str:

@@ -130,9 +130,16 @@ def _span_words(span: Span) -> str:
 # The verdict on a finished campaign
 
 
+def verdict_words(found: CampaignVerdict) -> str:
+    """Return the verdict, and the constants without whose exact size it would be another one."""
+    return f"{found.verdict}, rests on {found.rests_on}" if found.rests_on else found.verdict
+
+
 def verdict_lines(found: CampaignVerdict) -> Iterator[str]:
     """Yield the verdict, its reasons, what would help, and how many rollouts violate the specification."""
-    yield f"VERDICT  {found.verdict}"
+    yield f"VERDICT  {verdict_words(found)}"
+    if found.without_kernel:
+        yield found.without_kernel
     # The number of a claim that does not answer the question comes after the answer.
     # Under VIOLATED a bound reads like a pass, and is not the verdict.
     besides = "The bound that was computed too: " if found.verdict == "VIOLATED" else ""

@@ -50,6 +50,7 @@ def verdict_card(found: CampaignVerdict, predicate: document.Predicate, *, repea
     """Return the verdict in sentences with real signs; `repeated` as in `confidence_sentences`."""
     return VerdictCard(
         found.verdict,
+        typeset(found.rests_on),
         typeset(f"{found.claim}."),
         tuple(map(typeset, found.reasons)),
         tuple(map(typeset, confidence_sentences(found, predicate, repeated=repeated))),

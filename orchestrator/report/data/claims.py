@@ -50,6 +50,8 @@ class VerdictCard:
     """The verdict on a finished campaign, in sentences."""
 
     word: VerdictWord
+    rests_on: str
+    """The constants without whose exact size the verdict would be another one; may be empty."""
     claim: str
     reasons: tuple[str, ...]
     sure: tuple[str, ...]

@@ -132,21 +132,23 @@ function verdictCard(report) {
   if (found === null) return null;
   // What is refuted, and what a violation makes pointless, stands with the claim below.
   const claim = refutedOf(report).length || found.by_rollouts !== null || report.claims[0].vacuous ? [] : [found.claim];
-  const [answer, ...more] = found.word === "SHOWN" ? [...claim, ...found.reasons] : [...found.reasons, ...claim];
+  // What holds without a kernel comes before what rests on its constants.
+  const anyway = found.rests_on && found.anyway ? [found.anyway] : [];
+  const [answer, ...more] = found.word === "SHOWN" ? [...anyway, ...claim, ...found.reasons] : [...found.reasons, ...claim];
   const rows = [
     ["In detail", more.map((text) => el("p", withTerms(text)))],
     ["What refutes it", refutedOf(report).map((each) => el("p", withTerms(each.detail)))],
     ["Rollouts", rolloutCount(report)],
     ["Repeat the worst", found.command ? commandLine(found.command) : null],
     ["How sure", found.sure.map((text) => el("p", withTerms(text)))],
-    ["What holds anyway", found.anyway ? el("p", withTerms(found.anyway)) : null],
+    ["What holds anyway", found.anyway && !anyway.length ? el("p", withTerms(found.anyway)) : null],
     ["What it rests on", restsOn(report)],
     ["What to do next", nextSteps(report)],
   ];
   return el(
     "div.card#answer",
-    { "data-verdict": found.word },
-    el("p.word", found.word),
+    { "data-verdict": found.word, "data-rests": found.rests_on ? "" : null },
+    el("p.word", found.word, found.rests_on ? el("span.rests", `, rests on ${found.rests_on}`) : null),
     el("p.answer", withTerms(answer)),
     el("dl.parts", rows.filter(([, value]) => value !== null && value.length !== 0).map(([name, value]) => el("div", el("dt", name), el("dd", value)))),
   );

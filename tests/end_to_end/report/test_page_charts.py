@@ -277,7 +277,7 @@ def test_pictures_and_captions_of_a_refuted_bound_say_so(browser: Browser, tmp_p
 
 def test_a_bound_beyond_the_requirement_does_not_hide_a_violation(browser: Browser, tmp_path: Path) -> None:
     report = example_reports.charted()
-    card = VerdictCard("VIOLATED", "Margin.", ("A start fails.",), (), "", "probable", (), "", "")
+    card = VerdictCard("VIOLATED", "", "Margin.", ("A start fails.",), (), "", "probable", (), "", "")
     with opened(browser, tmp_path, replace(report, verdict=card)) as watch:
         text = watch.page.locator("section.problem").first.inner_text()
         assert "but the verdict is VIOLATED" in text

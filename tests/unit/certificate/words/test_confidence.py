@@ -2,7 +2,9 @@
 
 from typing import Any
 
-from perfbound.orchestrator.certificate.words.confidence import anyway, confidence_sentences
+from perfbound.orchestrator.certificate.words.confidence import anyway, confidence_sentences, rests_on
+from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.file.reader import parse_campaign
 from perfbound.schemas.result.certificate import (
     Assumption,
     CertificateClaim,
@@ -118,3 +120,33 @@ def test_a_violation_by_the_other_bound_has_the_chance_of_the_claim() -> None:
     """Its own bound may hold without any rollout."""
     likely, _ = sentences({"vacuous": True}, verdict="VIOLATED")
     assert says(likely, "assumptions wrong probability most 0.1000")
+
+
+def test_a_verdict_rests_on_the_constants_of_which_a_mistake_would_change_it() -> None:
+    claim = CertificateClaim(
+        quantity="expected_robustness", sense=">=", bound=1.25, probability=0.9, rule="single", method="rigorous",
+        assumptions=(), refuted=(), by_clip=-1.0,
+    )  # fmt: skip
+    one, two = campaign(40.0), campaign(40.0, 30.0)
+    for bounds, single, several in (
+        ((0.1, 0.1), "", ""),
+        ((-0.1, 0.1), "B = 40", "the norm bounds B"),
+        ((0.1, None), "the length scale", "the length scale"),
+        ((-1.0, -0.5), "B = 40 and the length scale", "the norm bounds B and the length scale"),
+    ):
+        predicate = a_certificate().predicate.model_copy(update={"claims": (claim,), "sensitivity": rows(*bounds)})
+        assert rests_on(predicate, one, 0.0) == single
+        assert rests_on(predicate, two, 0.0) == several
+    without = a_certificate().predicate.model_copy(update={"claims": (claim,), "sensitivity": None})
+    assert rests_on(without, one, 0.0) == "", "of a claim that needs no kernel"
+
+
+def campaign(*norms: float) -> CampaignConfig:
+    names = ("nominal_robustness", "sim_gap") if len(norms) == 2 else ("robustness",)
+    problems = "".join(
+        f'[[problems]]\nname = "{name}"\nalpha = 1\nrkhs_norm = {norm}\nnoise_scale = 0.1\n'
+        for name, norm in zip(names, norms, strict=True)
+    )
+    text = 'horizon = 1\nspecification = "always (y >= 0)"\nclip = [-1, 2]\ngap.kind = "robustness"\n'
+    text += 'composition = "sum"\n' if len(norms) == 2 else ""
+    return parse_campaign(f'{text}system.name = "s"\nspace.a = [0, 1]\n{problems}'.encode(), "c.toml")
