@@ -59,6 +59,22 @@ def report(*, directory: Path, as_json: bool) -> None:
         click.echo(line)
 
 
+@cli.command("open")
+@click.argument("directory", type=RUN_DIRECTORY, callback=check_directory)
+def open_report(*, directory: Path) -> None:
+    """Open the report of the campaign in DIRECTORY in a browser; where it has none yet, it is written first."""
+    import webbrowser  # noqa: PLC0415
+
+    from ..report.write import REPORT  # noqa: PLC0415
+
+    page = (directory / REPORT).absolute()
+    if not page.is_file():
+        _write_report(directory, as_json=False, report=lambda *_: None)
+    click.echo(page)
+    if not webbrowser.open(page.as_uri()):
+        _print_stderr("there is no browser here: copy the file to a machine with one")
+
+
 def _write_report(directory: Path, *, as_json: bool, report: "Report") -> list[str]:
     """Write the report and return its files; with `as_json` write nothing, and return what the page shows."""
     report("campaign", 0, 1)

@@ -103,7 +103,7 @@ def print_verdict(directory: Path, header: Header, certificate: Certificate, con
     """Print and return the verdict on a finished campaign: its reasons, and how many rollouts violate the formula."""
     found = verdict_of(directory, header, certificate)
     first, *others = verdict_lines(found)
-    plain_line(console, first, f"bold {COLOURS[found.verdict]}")
+    plain_line(console, first, f"bold {'yellow' if found.rests_on else COLOURS[found.verdict]}")
     indent = " " * 9
     for each in others:
         hanging(console, Text(indent), each)

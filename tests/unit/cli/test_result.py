@@ -33,7 +33,7 @@ def test_no_line_replaces_a_single_sentence() -> None:
 
 
 def verdict(header: Header, worst: str | None, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    found = SimpleNamespace(verdict="SHOWN", violations=SimpleNamespace(rollout=worst), repeat="")
+    found = SimpleNamespace(verdict="SHOWN", violations=SimpleNamespace(rollout=worst), repeat="", rests_on="")
     monkeypatch.setattr(result, "verdict_of", lambda *_: found)
     monkeypatch.setattr(result, "verdict_lines", lambda _: ["VERDICT  SHOWN", "0 of 9 rollouts."])
     written, certificate = io.StringIO(), cast("Certificate", None)
