@@ -247,13 +247,14 @@ def _served(
 
 def _beforehand(ledger: "Ledger", *, resumed: bool) -> Iterator[str]:
     """Yield what is known of a campaign before its next test: its scope and cost, and what will not come out."""
-    from ..campaign import consistency  # noqa: PLC0415
+    from ..campaign import consistency, units  # noqa: PLC0415
     from ..campaign.closing import checks  # noqa: PLC0415
     from ..forecast import remaining  # noqa: PLC0415
 
     plans = ledger.plans
     if not resumed:
         yield from consistency.scope(plans)
+        yield from units.mixed_units(ledger.config, ledger.header.spec)
         yield from checks.cost(ledger.header, plans)
     budgets = {name: replace(each, budget=ledger.accounts[name].budget) for name, each in plans.items()}
     yield from remaining.warnings(budgets)

@@ -48,7 +48,7 @@ def good(folder: Path) -> Ended:
 def test_the_end_of_a_run_fits_one_screen(good: Ended) -> None:
     assert good.code == 0, good.err
     lines = good.out.splitlines()
-    assert lines[0] == "VERDICT  SHOWN"
+    assert lines[0] == "VERDICT  SHOWN, rests on the length scale"
     assert lines[1].strip().startswith("Margin at least 0.")
     assert len(lines) <= SCREEN
     assert sum(line.startswith("CLAIM  ") for line in lines) == 1
@@ -65,7 +65,7 @@ def test_show_prints_everything_and_the_assumptions_on_request(started: Processe
     short = started.run("perfbound", "show", folder / "good")
     full = started.run("perfbound", "show", folder / "good", "--assumptions")
     assert short.code == full.code == 0
-    assert short.out.splitlines()[0] == "VERDICT  SHOWN"
+    assert short.out.splitlines()[0] == "VERDICT  SHOWN, rests on the length scale"
     for part in ("After the campaign", "Problems", "Output files"):
         assert part in short.out
     assert "simulator_is_the_system" in full.out
