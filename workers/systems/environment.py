@@ -20,12 +20,22 @@ import numpy as np
 
 from ...schemas.errors import DefinitionError, SimulationError, meant, shortened
 from ...schemas.file.config import CampaignConfig
+from ...schemas.file.space import SystemChoice
 from ...schemas.system import ENDED, OptionValue, SystemSpec, Variant, timed_columns
 from ...schemas.trajectory.trajectory import Trajectory, Visual
 from ..faults import fault_text
 from .base import Floats, Progress, SystemUnderTest, checked_options
 from .declared import DeclaredFiles, WithSpec, declared_files
-from .described import blaming, check_horizon, check_whole, fixed_option, name_of, space_parameters, steps_within
+from .described import (
+    blaming,
+    check_horizon,
+    check_whole,
+    fixed_option,
+    name_of,
+    of_campaign,
+    space_parameters,
+    steps_within,
+)
 from .files import code_beside, import_beside
 from .fingerprint import versions_of
 from .policy import Policy, load_policy
@@ -242,7 +252,9 @@ def load_environment(file: Path, config: CampaignConfig) -> SystemUnderTest:
     except DefinitionError as error:
         raise DefinitionError(f"{where}: system.policy: {error}") from None
     given = {name: _argument(value) for name, value in choice.options.items()}
-    with blaming(f"{where}: system.gymnasium: {environment_id}"):
+    # A misspelt key of the file is an argument that the environment does not take.
+    hints = (of_campaign(name) or meant(name, SystemChoice.model_fields) for name in given)
+    with blaming(f"{where}: system.gymnasium: {next(filter(None, hints), '')}{environment_id}"):
         import_beside(environment_id.rpartition(":")[0], folder)
         # Without checks that print.
         env = gymnasium.make(environment_id, disable_env_checker=True, **given)

@@ -207,6 +207,8 @@ class Act:
     ("named", "space", "keys", "said"),
     [
         ("CartPole-v9", "length = [0.4, 0.6]", "", r"system\.gymnasium: CartPole-v9: .*CartPole"),
+        ("CartPole-v1", "length = [0.4, 0.6]", 'colums = "x"', r"system\.gymnasium: did you mean 'columns'\?"),
+        ("CartPole-v1", "length = [0.4, 0.6]", "clip = 3", r"gymnasium: put the key `clip` of the campaign above the"),
         ("absent:Own-v0", "length = [0.4, 0.6]", "", r"system\.gymnasium: absent:Own-v0: .*absent"),
         ("CartPole-v1", "lenght = [0.4, 0.6]", "", r"no attribute lenght, and .*write a function reset\(env, \*, seed"),
         ("walk:Walk-v0", "title = [0, 1]", "", r"space: title is an attribute of the environment, and str and no num"),
