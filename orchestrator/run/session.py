@@ -247,14 +247,18 @@ def _served(
 
 def _beforehand(ledger: "Ledger", *, resumed: bool) -> Iterator[str]:
     """Yield what is known of a campaign before its next test: its scope and cost, and what will not come out."""
-    from ..campaign import consistency, units  # noqa: PLC0415
+    from ..campaign import consistency  # noqa: PLC0415
     from ..campaign.closing import checks  # noqa: PLC0415
     from ..forecast import remaining  # noqa: PLC0415
+    from ..mathematics.stl.units import mixed_units  # noqa: PLC0415
 
     plans = ledger.plans
     if not resumed:
         yield from consistency.scope(plans)
-        yield from units.mixed_units(ledger.config, ledger.header.spec)
+        config, columns = ledger.config, ledger.header.spec.columns
+        named = {each.name: each.formula for each in config.specifications} or {"specification": config.formula or ""}
+        formulas = {name: formula for name, formula in named.items() if formula}
+        yield from mixed_units(formulas, {each.name: each.unit for each in columns})
         yield from checks.cost(ledger.header, plans)
     budgets = {name: replace(each, budget=ledger.accounts[name].budget) for name, each in plans.items()}
     yield from remaining.warnings(budgets)

@@ -2,24 +2,13 @@
 
 import pytest
 
-from perfbound.orchestrator.campaign.units import mixed_units
-from perfbound.schemas.file.reader import parse_campaign
-from perfbound.schemas.system import Column, Parameter, SystemSpec
+from perfbound.orchestrator.mathematics.stl.units import mixed_units
 
 UNITS = {"t": "s", "angle": "rad", "x": "m", "y": "m", "count": "", "v": "m/s"}
-SPEC = SystemSpec(
-    name="s",
-    doc="",
-    parameters=(Parameter(0, 1, name="a"),),
-    columns=tuple(Column(name=name, unit=unit) for name, unit in UNITS.items()),
-    max_horizon=10,
-)
-CAMPAIGN = 'horizon = 1\nfalsify = {}\nmax_tests = 3\nsystem.name = "s"\nspace.a = [0, 1]\n'
 
 
 def lines(formula: str) -> list[str]:
-    config = parse_campaign(f'{CAMPAIGN}specification = "{formula}"\n'.encode(), "c.toml")
-    return list(mixed_units(config, SPEC))
+    return list(mixed_units({"specification": formula}, UNITS))
 
 
 @pytest.mark.parametrize(

@@ -4,23 +4,24 @@ from collections.abc import Iterator, Mapping
 from dataclasses import fields, replace
 from typing import Any
 
-from ...schemas.file.config import CampaignConfig
-from ...schemas.system import SystemSpec
-from ..mathematics.stl import tree as stl
-from ..mathematics.stl.parser import parse_formula
-from ..mathematics.stl.text import text
+from . import tree as stl
+from .parser import parse_formula
+from .text import text
 
 MOST_NODES = 200
 """Of a formula that is written anew."""
 
 
-def mixed_units(config: CampaignConfig, spec: SystemSpec) -> Iterator[str]:
-    """Yield a line for every formula with several units, and the same formula in shares of its limits."""
-    units = {each.name: each.unit for each in spec.columns}
-    named: dict[str, str | None] = {each.name: each.formula for each in config.specifications}
-    for name, formula in (named or {"specification": config.formula}).items():
-        if formula is None:
-            continue
+def mixed_units(formulas: Mapping[str, str], units: Mapping[str, str]) -> Iterator[str]:
+    """Yield a line for every formula with several units, and the same formula in shares of its limits.
+
+    `formulas` by their names, `units` by the names of the columns.
+
+    Raises:
+        FormulaError: one is no formula over these columns.
+
+    """
+    for name, formula in formulas.items():
         tree = parse_formula(formula, tuple(units))
         found = {_unit(each, units) for each in stl.predicates(tree)}
         listed = [each or "numbers" for each in dict.fromkeys(units.values()) if each in found]
