@@ -389,13 +389,28 @@ def differences(spec: SystemSpec, here: SystemSpec) -> list[str]:
         for name in sorted(spec.versions.keys() | here.versions.keys())
         if spec.versions.get(name) != here.versions.get(name)
     ]
-    seen = {"code", "versions", *DECIDES_NO_ROLLOUT}
+    known, found = ({each.name: each for each in one.declared.parameters} for one in (spec, here))
+    parameters = [
+        f"parameter {name} {_range_words(known.get(name))} (here {_range_words(found.get(name))})"
+        for name in dict.fromkeys((*known, *found))
+        if known.get(name) != found.get(name)
+    ]
+    seen = {"code", "versions", *DECIDES_NO_ROLLOUT, *(["parameters"] if parameters else [])}
     others = [
         f"{key} {_short(getattr(spec, key))} (here {_short(getattr(here, key))})"
         for key in type(spec).model_fields
         if key not in seen and getattr(spec.declared, key) != getattr(here.declared, key)
     ]
-    return code + versions + others
+    return code + versions + parameters + others
+
+
+def _range_words(parameter: Parameter | None) -> str:
+    """Return the range of a parameter in words."""
+    if parameter is None:
+        return "none"
+    return f"in [{parameter.low:g}, {parameter.high:g}] {parameter.unit}".rstrip() + (
+        ", an input over time" if parameter.signal else ""
+    )
 
 
 def _check_disturbances(spec: SystemSpec) -> None:

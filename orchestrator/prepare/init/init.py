@@ -85,6 +85,11 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
     spec = as_in_campaign(system_spec(wish.reference, "SYSTEM"), known).as_simulated
     wish = replace(wish, question=wish.question or (DEFAULT if len(spec.parameters) <= LATTICE_PARAMETERS else IN_MANY))
     question = QUESTIONS[wish.question]
+    if wish.question == "safe" and len(spec.parameters) > LATTICE_PARAMETERS:
+        raise PerfboundError(
+            f"--question safe: {spec.name} has {len(spec.parameters)} parameters, and a map of safe starts is for at "
+            f"most {LATTICE_PARAMETERS}; ask --question {IN_MANY}"
+        )
     if wish.specification is None and known is not None and known.specification:
         wish = replace(wish, specification=known.specification)
     folder = Path(wish.reference).parent if known else Path()

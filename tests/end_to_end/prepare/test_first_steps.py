@@ -51,6 +51,10 @@ def huge(x):
 @pb.system(parameters={"x": pb.Parameter(1, 1)}, columns={"a": "m"})
 def point(x):
     return x
+
+@pb.system(parameters={name: pb.Parameter(0, 1) for name in "abcd"}, columns={"y": "m"}, step=0.1)
+def wide(a, b, c, d, *, horizon=1.0):
+    return np.full(round(horizon / 0.1) + 1, 1.5 - a * b - 0.5 * c * d)
 """
 
 
@@ -89,11 +93,12 @@ def certified(started: Processes, file: Path, tests: int = 4) -> Certificate:
     [
         ("systems/cars.py:cars", (), "expected_robustness"),
         ("systems/bad.py:fixed", (), "robustness"),
+        ("systems/bad.py:wide", ("--question", "worst"), "robustness"),
         ("test-function", (), "expected_robustness"),
         ("segway", ("--specification", "always (abs(phi) <= 0.95)"), "expected_robustness"),
         ("segway", ("--question", "transfer", "--specification", "always (abs(phi) <= 0.95)"), "rho_star"),
     ],
-    ids=["cars", "fixed", "test-function", "segway", "segway-transfer"],
+    ids=["cars", "fixed", "wide", "test-function", "segway", "segway-transfer"],
 )
 def test_the_written_file_runs_to_a_certificate(
     folder: Processes, tmp_path: Path, system: str, arguments: tuple[str, ...], quantity: str
@@ -106,6 +111,24 @@ def test_the_written_file_runs_to_a_certificate(
     assert f"{file}: the constants are {whence}" in written.out
     claims = certified(folder, file).predicate.claims
     assert claims[0].quantity == quantity
+
+
+def test_above_three_parameters_the_usual_question_is_about_all_of_them(folder: Processes, tmp_path: Path) -> None:
+    """And what is claimed, and about which starts, is said first."""
+    file = tmp_path / "c.toml"
+    usual = folder.run("perfbound", "init", "systems/bad.py:wide", "--out", file)
+    assert usual.code == 0, usual
+    assert "wide: 4 parameters, question `how-often`" in usual.out.splitlines()[0]
+    assert "about starts that are drawn from the ranges" in usual.out.splitlines()[0]
+    ended = folder.run("perfbound", "run", file, "--out", tmp_path / "run")
+    assert ended.code == 0, ended
+    assert "every start" not in ended.out
+    listed = folder.run("perfbound", "init", "systems/bad.py:wide", "--question", "worst", "--out", tmp_path / "w.toml")
+    assert "about the worst of 4,096 listed starts alone" in listed.out.splitlines()[0]
+    shortened(tmp_path / "w.toml", 4)
+    ended = folder.run("perfbound", "run", tmp_path / "w.toml", "--out", tmp_path / "listed")
+    assert "from each of the 4,096 listed starts" in " ".join(ended.out.split())
+    assert "every start" not in ended.out
 
 
 def test_the_proposed_constants_are_not_refuted_and_prove_something(folder: Processes, tmp_path: Path) -> None:
@@ -144,6 +167,7 @@ def test_a_file_that_exists_stays_as_it_is(folder: Processes, tmp_path: Path) ->
     [
         ("segway", ("--question", "often"), "choose one of worst (How bad is the worst start?); fails (Is there a"),
         ("systems/cars.py:cars", ("--question", "transfer"), "cars has no variant true; give it two variants"),
+        ("systems/bad.py:wide", ("--question", "safe"), "--question safe: wide has 4 parameters, and a map of safe"),
         ("segway", ("--specification", "always (pitch <= 1)"), "--specification: "),
         ("segway", ("--specification", "always[0,20] (phi <= 1)"), "reaches to 20 s, but the trajectory ends at 15 s"),
         ("systems/bad.py:point", (), "point: the range of x is empty; give it a low below its high"),
