@@ -154,7 +154,7 @@ def test_references_of_all_kinds(started: Processes, folder: Path, tmp_path: Pat
         (("step = 0.01", "limits = { ram = 4 }"), "system.limits.ram: unknown key; allowed are cpu, memory"),
         (
             ('program = ["./pendulum"]', 'name = "segway"'),
-            "system.columns: this key is for a program and",
+            "system.columns: this key is for a program, an environment",
         ),
         (("abs(angle)", "abs(angel)"), "angel"),
     ],
