@@ -17,6 +17,7 @@ def flight(bank: float, speed: float, horizon: float) -> np.ndarray:
     """Start banked, with the wing leveller on; return height lost (m), bank (rad) and speed (m/s)."""
     aircraft = jsbsim.FGFDMExec(None)
     aircraft.load_model("c172x")
+    aircraft.disable_output()  # the model writes a file of its own
     aircraft.set_dt(1 / RATE)
     aircraft["ic/h-sl-ft"] = HEIGHT / FOOT
     aircraft["ic/vc-kts"] = speed / KNOT

@@ -2,6 +2,7 @@
 
 import math
 from importlib.metadata import PackageNotFoundError
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -103,8 +104,9 @@ def test_what_is_not_finite_never_reaches_the_engine() -> None:
         together([(1.0, 1.0), (26.0, 1.0)])
 
 
-def test_a_rollout_that_is_not_stable_fails_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_rollout_that_is_not_stable_fails_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By torques that no motor has."""
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes a log there
     monkeypatch.setattr(world, "MOTOR_CONSTANT", np.array([1.0, 1e300]))
     found = WORLD.rollouts(np.array([[1.0, 1.0, 0.0, 0.1]] * 2), 60, GAINS["paper"], lambda _: None)
     assert np.isfinite(found[0]).all()
