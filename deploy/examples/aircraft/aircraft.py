@@ -17,7 +17,6 @@ def flight(bank: float, speed: float, horizon: float) -> np.ndarray:
     """Start banked, with the wing leveller on; return height lost (m), bank (rad) and speed (m/s)."""
     aircraft = jsbsim.FGFDMExec(None)
     aircraft.load_model("c172x")
-    aircraft.disable_output()  # the model writes a file of its own
     aircraft.set_dt(1 / RATE)
     aircraft["ic/h-sl-ft"] = HEIGHT / FOOT
     aircraft["ic/vc-kts"] = speed / KNOT
@@ -37,6 +36,7 @@ def flight(bank: float, speed: float, horizon: float) -> np.ndarray:
 
 answers = os.fdopen(os.dup(1), "w")
 os.dup2(2, 1)  # JSBSim prints
+os.chdir(os.environ["PERFBOUND_SCRATCH"])  # and writes a file
 for line in sys.stdin:
     request = json.loads(line)
     answer = {"request": request["request"]}
