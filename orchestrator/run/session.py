@@ -256,8 +256,8 @@ def _beforehand(ledger: "Ledger", *, resumed: bool) -> Iterator[str]:
     if not resumed:
         yield from consistency.scope(plans)
         config, columns = ledger.config, ledger.header.spec.columns
-        named = {each.name: each.formula for each in config.specifications} or {"specification": config.formula or ""}
-        formulas = {name: formula for name, formula in named.items() if formula}
+        one = {} if config.formula is None else {"specification": config.formula}
+        formulas = {each.name: each.formula for each in config.specifications} or one
         yield from mixed_units(formulas, {each.name: each.unit for each in columns})
         yield from checks.cost(ledger.header, plans)
     budgets = {name: replace(each, budget=ledger.accounts[name].budget) for name, each in plans.items()}

@@ -271,6 +271,8 @@ class Kind(NamedTuple):
     """Those that it cannot do without, and what they are."""
     described: bool = False
     """Whether the file describes it, so that `[space]` has its parameters."""
+    suffix: str = ""
+    """Of the file that is its whole model."""
 
 
 FUNCTION_KEYS = ("files", "stamps", "after_end")
@@ -307,8 +309,16 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             {"policy": '"policy.py:act", a function that returns an action for an observation'},
             described=True,
         ),
-        "fmu": Kind("an FMU", 'fmu = "NAME.fmu"', (*RECORDED_KEYS, "interface", "noisy", "after_end"), described=True),
-        "mjcf": Kind("a model for MuJoCo", 'mjcf = "NAME.xml"', (*RECORDED_KEYS, "controller"), described=True),
+        "fmu": Kind(
+            "an FMU",
+            'fmu = "NAME.fmu"',
+            (*RECORDED_KEYS, "interface", "noisy", "after_end"),
+            described=True,
+            suffix=".fmu",
+        ),
+        "mjcf": Kind(
+            "a model for MuJoCo", 'mjcf = "NAME.xml"', (*RECORDED_KEYS, "controller"), described=True, suffix=".xml"
+        ),
         "nominal": Kind(
             "two simulators",
             "[system.nominal] and [system.true], two simulators",

@@ -1,16 +1,45 @@
 """The parts of a specification that every system takes from its campaign file."""
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 from ...schemas.errors import DefinitionError, SimulationError
 from ...schemas.file.config import CampaignConfig
-from ...schemas.system import Option, OptionValue, Parameter
+from ...schemas.system import Option, OptionValue, Parameter, SystemSpec
+from ...schemas.trajectory.trajectory import Trajectory, Visual
 from ..faults import NOT_OF_SYSTEMS, fault_text
+from .base import SystemUnderTest
 
 LIBRARIES = frozenset({"fmpy", "gymnasium"})
+MOST_NAMED = 30
+"""Names in a message."""
+
+
+class DescribedSystem(SystemUnderTest):
+    """A system that a campaign file describes: its specification is made once, and it is drawn as its columns."""
+
+    def __init__(self, spec: SystemSpec) -> None:
+        self._spec = spec
+
+    @property
+    def spec(self) -> SystemSpec:
+        """The specification that follows from the campaign file and from what it names."""
+        return self._spec
+
+    def visual(self, trajectory: Trajectory) -> Visual:  # noqa: ARG002  (the same for all)
+        """Return a plot of every column."""
+        return Visual(plots=True)
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return the first of many names in words.
+
+    >>> listed(["a", "b"]), listed([])
+    ('a, b', 'none')
+    """
+    return ", ".join([*names[:MOST_NAMED], *(["..."] if len(names) > MOST_NAMED else [])]) or "none"
 
 
 def space_parameters(config: CampaignConfig, where: str = "") -> Iterator[Parameter]:
@@ -84,8 +113,17 @@ def check_horizon(horizon: float | None, step: float, where: str) -> None:
 
 
 @contextmanager
+def placed(place: str) -> Iterator[None]:
+    """Put a place in front of an error of a definition."""
+    try:
+        yield
+    except DefinitionError as error:
+        raise DefinitionError(f"{place}: {error}") from None
+
+
+@contextmanager
 def blaming(place: str, simulated: str | None = None) -> Iterator[None]:
-    """Turn what the code of others raises into an error at a place; what we say of a rollout stands at another one."""
+    """Turn what the code of others raises into an error at a place; what we say of a rollout has another one."""
     try:
         yield
     except (DefinitionError, *NOT_OF_SYSTEMS):

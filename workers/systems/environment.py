@@ -22,17 +22,19 @@ from ...schemas.errors import DefinitionError, SimulationError, meant, shortened
 from ...schemas.file.config import CampaignConfig
 from ...schemas.file.space import SystemChoice
 from ...schemas.system import ENDED, OptionValue, SystemSpec, Variant, timed_columns
-from ...schemas.trajectory.trajectory import Trajectory, Visual
+from ...schemas.trajectory.trajectory import Trajectory
 from ..faults import fault_text
 from .base import Floats, Progress, SystemUnderTest, checked_options
 from .declared import DeclaredFiles, WithSpec, declared_files
 from .described import (
+    DescribedSystem,
     blaming,
     check_horizon,
     check_whole,
     fixed_option,
     name_of,
     of_campaign,
+    placed,
     space_parameters,
     steps_within,
 )
@@ -168,18 +170,14 @@ class Environment:
         return f"write a function reset(env, *, seed, {name}) in {self._policy.path.name} that starts an episode"
 
 
-class EnvironmentSystem(SystemUnderTest):
+class EnvironmentSystem(DescribedSystem):
     """An environment with its policy."""
 
     def __init__(self, spec: SystemSpec, environment: Environment, step: float, recorded: Sequence[str]) -> None:
-        self._spec, self._environment, self._step = spec, environment, step
+        super().__init__(spec)
+        self._environment, self._step = environment, step
         self._recorded = recorded
         """The name in the environment of each own column, without the time."""
-
-    @property
-    def spec(self) -> SystemSpec:
-        """The specification that follows from `[system]` and `[space]`."""
-        return self._spec
 
     def rollout(
         self,
@@ -212,10 +210,6 @@ class EnvironmentSystem(SystemUnderTest):
         rows[0] = [after if here is None else here for here, after in zip(rows[0], rows[1], strict=True)]
         return Trajectory(self._spec.own_columns, np.array(rows, dtype=np.float64))
 
-    def visual(self, trajectory: Trajectory) -> Visual:  # noqa: ARG002  (the same for all)
-        """Return a plot of every column."""
-        return Visual(plots=True)
-
     def _row(self, number: int, observation: Any, reward: float, ended: bool, info: Mapping[str, Any]) -> list[Any]:
         environment = self._environment
         known: dict[str, Any] = dict(zip(environment.observed, environment.seen(observation), strict=True))
@@ -247,10 +241,8 @@ def load_environment(file: Path, config: CampaignConfig) -> SystemUnderTest:
     # It says at every rollout that an episode has ended, which is what `ended` is for.
     gymnasium.logger.min_level = gymnasium.logger.ERROR
     where, environment_id = str(file), choice.gymnasium
-    try:
+    with placed(f"{where}: system.policy"):
         policy = load_policy(choice.policy, folder)
-    except DefinitionError as error:
-        raise DefinitionError(f"{where}: system.policy: {error}") from None
     given = {name: _argument(value) for name, value in choice.options.items()}
     # A misspelt key of the file is an argument that the environment does not take.
     hints = (of_campaign(name) or meant(name, SystemChoice.model_fields) for name in given)
@@ -274,7 +266,7 @@ def load_environment(file: Path, config: CampaignConfig) -> SystemUnderTest:
         columns = _columns(environment, lows, choice.columns, where)
     if choice.after_end is None:  # stepped on beyond the end of an episode, `ended` is a column of its own
         columns[ENDED.name] = (ENDED.name, ENDED.unit)
-    try:
+    with placed(f"{where}: system"):
         files = DeclaredFiles(
             {each: path for each, path in declared_files(choice.files or (), folder).items() if path != policy.path}
             | ({policy.path.name: policy.path} if policy.path.suffix == ".zip" else {})
@@ -295,8 +287,6 @@ def load_environment(file: Path, config: CampaignConfig) -> SystemUnderTest:
             versions=policy.versions | versions_of((), {"gymnasium", type(env.unwrapped).__module__}),
             after_end=choice.after_end,
         )
-    except DefinitionError as error:
-        raise DefinitionError(f"{where}: system: {error}") from None
     return WithSpec(EnvironmentSystem(spec, environment, step, [name for name, _ in columns.values()]), files)
 
 

@@ -20,19 +20,22 @@ from ...schemas.file.config import CampaignConfig
 from ...schemas.file.space import SystemChoice
 from ...schemas.system import OptionValue, Parameter, SystemSpec, Variant, timed_columns
 from ...schemas.trajectory.input_signal import InputSignal
-from ...schemas.trajectory.trajectory import Floats, Trajectory, Visual
+from ...schemas.trajectory.trajectory import Floats, Trajectory
 from ..faults import NOT_OF_SYSTEMS
 from .base import Cancelled, Progress, SystemUnderTest, checked_options
 from .declared import DeclaredFiles, WithSpec, declared_files
 from .described import (
+    DescribedSystem,
     blaming,
     check_horizon,
     check_whole,
     fixed_option,
+    listed,
     name_of,
     of_campaign,
     own_name,
     own_words,
+    placed,
     space_parameters,
     steps_within,
 )
@@ -43,7 +46,6 @@ SEED = "seed"
 """The variable of an FMU that draws numbers."""
 SEED_BITS = 31
 """Of a seed, which is an integer of FMI 2."""
-MOST_NAMED = 30
 FAILED = 2
 """The first status of FMI that is no warning: a step that is discarded."""
 INTERFACES = {"co-simulation": "CoSimulation", "model-exchange": "ModelExchange"}
@@ -55,7 +57,6 @@ class Variables:
     def __init__(self, description: Any, unit: str) -> None:
         self._unit = unit
         """The name of the file."""
-        self._fmi2 = description.fmiVersion == "2.0"
         self._named = dict[str, list[Any]]()
         for each in description.modelVariables:
             if not each.dimensions and each.name != "time":
@@ -83,8 +84,7 @@ class Variables:
                 "them in the model"
             )
         hint = meant(name, [*self._named, *also])
-        some = ", ".join(list(self._named)[:MOST_NAMED]) + (", ..." if len(self._named) > MOST_NAMED else "")
-        raise DefinitionError(f"{place}: {hint}{self._unit} has no variable {name!r}, only {some}")
+        raise DefinitionError(f"{place}: {hint}{self._unit} has no variable {name!r}, only {listed(list(self._named))}")
 
     def settable(self, name: str, place: str, also: Sequence[str] = ()) -> Any:
         """Return the variable of a name whose value is given to a simulation; raises as `found`, and for others."""
@@ -95,7 +95,7 @@ class Variables:
         given = [each.name for each in self.all if each.causality in {"parameter", "input"} or each.initial == "exact"]
         raise DefinitionError(
             f"{place}: {variable.name} is calculated by {self._unit}, and no start value; it takes "
-            f"{', '.join(map(own_name, given[:MOST_NAMED])) or 'none'}"
+            f"{listed(list(map(own_name, given)))}"
         )
 
     @property
@@ -111,12 +111,11 @@ class Library:
     def __init__(self, fmpy: Any, folder: str, description: Any, interface: str) -> None:
         self._said = list[str]()
         """What it says of errors, since its last instance."""
-        logger = _logger(description, self._said)
+        fmi2 = description.fmiVersion == "2.0"
+        logger = _logger(self._said, fmi2=fmi2)
         self._fmu = fmpy.instantiate_fmu(folder, description, INTERFACES[interface], logger=logger)
-        self._arguments = (
-            {"callbacks": self._fmu.callbacks} if description.fmiVersion == "2.0" else {"logMessage": logger}
-        )
-        self._free = self._fmu.fmi2FreeInstance if description.fmiVersion == "2.0" else self._fmu.fmi3FreeInstance
+        self._arguments = {"callbacks": self._fmu.callbacks} if fmi2 else {"logMessage": logger}
+        self._free = self._fmu.fmi2FreeInstance if fmi2 else self._fmu.fmi3FreeInstance
         self.free()
 
     def instance(self) -> Any:
@@ -162,16 +161,12 @@ class Unit(NamedTuple):
     """The variable that gets the seed."""
 
 
-class FmuSystem(SystemUnderTest):
+class FmuSystem(DescribedSystem):
     """An FMU; every rollout has an instance of its own."""
 
     def __init__(self, spec: SystemSpec, unit: Unit) -> None:
-        self._spec, self._unit = spec, unit
-
-    @property
-    def spec(self) -> SystemSpec:
-        """The specification that follows from the model description, `[system]` and `[space]`."""
-        return self._spec
+        super().__init__(spec)
+        self._unit = unit
 
     def rollout(
         self,
@@ -233,10 +228,6 @@ class FmuSystem(SystemUnderTest):
             samples[:, k] = found[variable.name][rows]
         return Trajectory(self._spec.own_columns, samples)
 
-    def visual(self, trajectory: Trajectory) -> Visual:  # noqa: ARG002  (the same for all)
-        """Return a plot of every column."""
-        return Visual(plots=True)
-
     def _inputs(
         self, given: Mapping[str, Any], starts: Mapping[str, Any], begin: float, steps: int, horizon: float
     ) -> Any:
@@ -282,6 +273,9 @@ def load_fmu(file: Path, config: CampaignConfig) -> SystemUnderTest:
         raise DefinitionError(f"{place}: there is no such file in {folder}")
     if not zipfile.is_zipfile(path):
         raise DefinitionError(f"{place}: this file is no FMU, which is a zip archive")
+    with placed(f"{where}: system"):
+        # Before it is read: a later one would be another system.
+        files = DeclaredFiles(declared_files((choice.fmu, *(choice.files or ())), folder))
     with blaming(place):
         # Tools differ in what they write besides; what a simulation needs is checked when it begins.
         description = fmpy.read_model_description(str(path), validate=False)
@@ -317,8 +311,7 @@ def load_fmu(file: Path, config: CampaignConfig) -> SystemUnderTest:
         recorded=[each for each, _ in columns.values()],
         seeded=variables.settable(SEED, f"{where}: system.noisy").name if choice.noisy else None,
     )
-    try:
-        files = DeclaredFiles(declared_files((choice.fmu, *(choice.files or ())), folder))
+    with placed(f"{where}: system"):
         spec = SystemSpec(
             name=name_of(choice.fmu, "fmu"),
             doc=f"{path.name}, {interface} of FMI {description.fmiVersion} with a step of {step:g} s",
@@ -336,8 +329,6 @@ def load_fmu(file: Path, config: CampaignConfig) -> SystemUnderTest:
             versions=versions_of(Path(unpacked, "resources").rglob("*.py"), {"fmpy"}),
             after_end=choice.after_end,
         )
-    except DefinitionError as error:
-        raise DefinitionError(f"{where}: system: {error}") from None
     return WithSpec(FmuSystem(spec, unit), files)
 
 
@@ -478,9 +469,8 @@ def _takes(variable: Any) -> str:
     return f"give a {'number' if _is_real(variable) else 'whole number'}{limits}"
 
 
-def _logger(description: Any, said: list[str]) -> Callable[..., None]:
+def _logger(said: list[str], *, fmi2: bool) -> Callable[..., None]:
     """Return the function to which an FMU says what went wrong; its last words belong to the error."""
-    fmi2 = description.fmiVersion == "2.0"
 
     def log(*arguments: Any) -> None:
         status, message = (arguments[2], arguments[4]) if fmi2 else (arguments[1], arguments[3])

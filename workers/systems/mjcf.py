@@ -21,27 +21,30 @@ from ...schemas.file.config import CampaignConfig
 from ...schemas.file.space import SystemChoice
 from ...schemas.system import OptionValue, Parameter, SystemSpec, Variant, timed_columns
 from ...schemas.trajectory.input_signal import InputSignal
-from ...schemas.trajectory.trajectory import Trajectory, Visual
+from ...schemas.trajectory.trajectory import Trajectory
 from .base import Progress, SystemUnderTest, checked_options
 from .declared import DeclaredFiles, WithSpec, declared_files
 from .described import (
+    DescribedSystem,
     blaming,
     check_horizon,
     fixed_option,
+    listed,
     name_of,
     of_campaign,
     own_name,
+    placed,
     space_parameters,
     steps_within,
 )
 from .files import code_beside
 from .fingerprint import versions_of
+from .mujoco_warnings import WARNINGS, listen
 from .policy import Policy, load_policy
 
 MAX_STEPS = 10_000_000
 SEED_BITS = 53
 KEYFRAME = "keyframe"
-MOST_NAMED = 30
 FORMS = {
     "FREE": (("m", "m", "m", "", "", "", ""), ("m/s", "m/s", "m/s", "rad/s", "rad/s", "rad/s")),
     "BALL": (("", "", "", ""), ("rad/s", "rad/s", "rad/s")),
@@ -74,12 +77,10 @@ SENSOR_UNITS = {
     "CLOCK": "s",
 }
 """By the type of a sensor; those of `jointpos` and `jointvel` are those of the joint."""
-WARNINGS: list[str] = []
-"""What MuJoCo warns of, in this process and since the beginning of a rollout."""
 
 
 class Place(NamedTuple):
-    """A number of a simulation: where it stands in an array of `MjData`, and its unit."""
+    """A number of a simulation: its place in an array of `MjData`, and its unit."""
 
     array: str
     offset: int
@@ -101,16 +102,12 @@ class Model(NamedTuple):
     takes_seed: bool
 
 
-class MjcfSystem(SystemUnderTest):
+class MjcfSystem(DescribedSystem):
     """A model for MuJoCo, with a controller or without."""
 
     def __init__(self, spec: SystemSpec, model: Model) -> None:
-        self._spec, self._model = spec, model
-
-    @property
-    def spec(self) -> SystemSpec:
-        """The specification that follows from the model, `[system]` and `[space]`."""
-        return self._spec
+        super().__init__(spec)
+        self._model = model
 
     def rollout(
         self,
@@ -140,16 +137,12 @@ class MjcfSystem(SystemUnderTest):
         for k, row in enumerate(self._simulated(start, seed, rows[:, 0])):
             rows[k, 1:] = row
             progress(k)
-            if WARNINGS:  # it has put the model back to its first state, and would go on from there
+            if WARNINGS:  # it has put the model back to its first state, and would continue from there
                 raise SimulationError(
                     f"MuJoCo: {shortened(WARNINGS[0])} (after t = {rows[k, 0]:g} s); give the model a smaller "
                     "timestep, or starts that it can simulate"
                 )
         return Trajectory(self._spec.own_columns, rows)
-
-    def visual(self, trajectory: Trajectory) -> Visual:  # noqa: ARG002  (the same for all)
-        """Return a plot of every column."""
-        return Visual(plots=True)
 
     def _simulated(self, start: Mapping[str, Any], seed: int, times: Any) -> Iterator[list[float]]:
         """Yield the recorded numbers at each of the times."""
@@ -240,12 +233,16 @@ def load_mjcf(file: Path, config: CampaignConfig) -> SystemUnderTest:
     place = f"{where}: system.mjcf: {choice.mjcf}"
     if not path.is_file():
         raise DefinitionError(f"{place}: there is no such file in {folder}")
-    # Not into a file beside the campaign, as it does by itself.
-    mujoco.set_mju_user_warning(WARNINGS.append)
+    listen(mujoco)
     with blaming(place):
-        model = mujoco.MjModel.from_xml_path(str(path))
         # All that it consists of: included models, meshes, textures.
         used = [Path(each) for each in mujoco.mju_getXMLDependencies(str(path))]
+    named = [str(each.relative_to(folder) if each.is_relative_to(folder) else each) for each in used]
+    with placed(f"{where}: system"):
+        # Before the model is read: a later one would be another system.
+        files = DeclaredFiles(declared_files(named, folder) | declared_files(choice.files or (), folder))
+    with blaming(place):
+        model = mujoco.MjModel.from_xml_path(str(path))
     keyframe = _keyframe(model, choice, where)
     policy = _controller(choice, folder, where)
     places = _places(mujoco, model)
@@ -258,13 +255,7 @@ def load_mjcf(file: Path, config: CampaignConfig) -> SystemUnderTest:
     step = substeps * float(model.opt.timestep)
     check_horizon(config.horizon, step, where)
     columns = _columns(places, choice.columns, where)
-    try:
-        files = DeclaredFiles(
-            declared_files(
-                [str(each.relative_to(folder) if each.is_relative_to(folder) else each) for each in used], folder
-            )
-            | declared_files(choice.files or (), folder)
-        )
+    with placed(f"{where}: system"):
         spec = SystemSpec(
             name=name_of(choice.mjcf, "model"),
             doc=f"{choice.mjcf} in MuJoCo with a time step of {model.opt.timestep:g} s, recorded every {step:g} s"
@@ -281,8 +272,6 @@ def load_mjcf(file: Path, config: CampaignConfig) -> SystemUnderTest:
             code=(policy.digests | code_beside(folder) if policy else {}) | files.digests,
             versions=(policy.versions if policy else {}) | versions_of((), {"mujoco"}),
         )
-    except DefinitionError as error:
-        raise DefinitionError(f"{where}: system: {error}") from None
     found = Model(mujoco, model, places, keyframe, substeps, list(columns), policy, takes_seed)
     return WithSpec(MjcfSystem(spec, found), files)
 
@@ -290,10 +279,8 @@ def load_mjcf(file: Path, config: CampaignConfig) -> SystemUnderTest:
 def _controller(choice: SystemChoice, folder: Path, where: str) -> Policy | None:
     if choice.controller is None:
         return None
-    try:
+    with placed(f"{where}: system.controller"):
         return load_policy(choice.controller, folder, "model, data")
-    except DefinitionError as error:
-        raise DefinitionError(f"{where}: system.controller: {error}") from None
 
 
 def _places(mujoco: Any, model: Any) -> dict[str, Place]:
@@ -353,7 +340,7 @@ def _set_by_name(
     if name not in settable:
         file = policy.path.name if policy else "the file of a controller"
         raise DefinitionError(
-            f"{where}: space: {meant(name, settable)}{name!r} is none of {_listed(settable)}; set others by a "
+            f"{where}: space: {meant(name, settable)}{name!r} is none of {listed(settable)}; set others by a "
             f"function reset(model, data, *, {name}) in {file}"
         )
     place = places[name]
@@ -394,10 +381,6 @@ def _check_reset(policy: Policy, names: Sequence[str], where: str) -> bool:
     return "seed" in taken
 
 
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names[:MOST_NAMED]) + (", ..." if len(names) > MOST_NAMED else "")
-
-
 def _substeps(step: float | None, timestep: float, where: str) -> int:
     if step is None:
         return 1
@@ -422,7 +405,7 @@ def _columns(places: Mapping[str, Place], chosen: Mapping[str, str] | None, wher
     for name, unit in chosen.items():
         if name not in places:
             raise DefinitionError(
-                f"{where}: system.columns: {meant(name, places)}{name!r} is none of {_listed(list(places))}; add a "
+                f"{where}: system.columns: {meant(name, places)}{name!r} is none of {listed(list(places))}; add a "
                 "sensor to the model for others"
             )
         if unit and places[name].unit and unit != places[name].unit:

@@ -13,11 +13,11 @@ from ...schemas.file.space import SystemChoice
 from ...schemas.system import Parameter, SystemSpec, Variant, timed_columns
 from ...schemas.trajectory.trajectory import Trajectory, Visual
 from .base import Floats, SystemUnderTest, Vectorised
-from .described import fixed_option
+from .described import DescribedSystem, fixed_option
 
 
-class Half(SystemUnderTest):
-    """One of the simulators: its columns are those of the pair, its options those of the file."""
+class Half(DescribedSystem):
+    """One of the simulators: its columns are those of the pair, its options those of the file; it has one variant."""
 
     def __init__(
         self, system: SystemUnderTest, variant: Variant, choice: SystemChoice, columns: Mapping[str, str], pair: str
@@ -29,7 +29,7 @@ class Half(SystemUnderTest):
         if unknown := choice.options.keys() - {each.name for each in own.options}:
             raise DefinitionError(f"{variant}.{min(unknown)}: {own.name} has no such option")
         random = self._simulated in own.noisy
-        self._spec = own.model_copy(
+        spec = own.model_copy(
             update={
                 "name": pair,
                 "columns": timed_columns(columns, own.after_end),
@@ -40,12 +40,8 @@ class Half(SystemUnderTest):
                 "reported": tuple(each for each in own.reported if random and each.name in columns),
             }
         )
+        super().__init__(spec)
         self._own = own.own_columns
-
-    @property
-    def spec(self) -> SystemSpec:
-        """The specification of the simulator, with the columns of the pair and one variant."""
-        return self._spec
 
     def rollout(self, x: Sequence[Any], **arguments: Any) -> Trajectory:
         """Simulate with the simulator; raises as that."""
@@ -59,12 +55,10 @@ class Half(SystemUnderTest):
         found = np.asarray(cast(Vectorised, self._system).rollouts(starts, **self._translated(arguments)))
         return found[:, :, self._places]
 
-    def visual(self, trajectory: Trajectory) -> Visual:  # noqa: ARG002  (the same for all)
-        """Return a plot of every column."""
-        return Visual(plots=True)
-
     def _translated(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
-        return {**arguments, "variant": self._simulated, "options": self._options}
+        # What the other one alone takes.
+        kept = {key: each for key, each in arguments.items() if key != "disturbances" or self._spec.disturbances}
+        return {**kept, "variant": self._simulated, "options": self._options}
 
 
 class TwoSimulators(SystemUnderTest):
@@ -103,17 +97,11 @@ class TwoSimulators(SystemUnderTest):
 
     def rollout(self, x: Sequence[Any], *, variant: Variant, **arguments: Any) -> Trajectory:
         """Simulate with the simulator of the variant; raises as that."""
-        half = self.half(variant)
-        if not half.spec.disturbances:
-            arguments.pop("disturbances", None)
-        return half.rollout(x, variant=variant, **arguments)
+        return self.half(variant).rollout(x, variant=variant, **arguments)
 
     def rollouts(self, starts: Floats, *, variant: Variant, **arguments: Any) -> object:
         """Simulate many with vectorised simulators; raises as they."""
-        half = self.half(variant)
-        if not half.spec.disturbances:
-            arguments.pop("disturbances", None)
-        return half.rollouts(starts, variant=variant, **arguments)
+        return self.half(variant).rollouts(starts, variant=variant, **arguments)
 
     def visual(self, trajectory: Trajectory) -> Visual:  # noqa: ARG002  (the same for all)
         """Return a plot of every column."""

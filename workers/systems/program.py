@@ -29,10 +29,10 @@ from ...schemas.ranges import MAX_FILE_BYTES, SEED_BITS
 from ...schemas.real_numbers import real_array
 from ...schemas.system import OptionValue, SystemSpec, Variant, timed_columns
 from ...schemas.trajectory.input_signal import InputSignal
-from ...schemas.trajectory.trajectory import Trajectory, Visual
-from .base import Progress, SystemUnderTest, checked_disturbances, checked_options
+from ...schemas.trajectory.trajectory import Trajectory
+from .base import Progress, checked_disturbances, checked_options
 from .declared import NO_FILES, DeclaredFiles, declared_files
-from .described import name_of, option_of, space_parameters
+from .described import DescribedSystem, name_of, option_of, space_parameters
 from .place import Worker
 from .running import Command, EndedError, RunningProgram
 
@@ -50,7 +50,7 @@ ONE_LINE = 'its stdout takes one line a rollout, {"done": true} or {"error": "TE
 Floats = NDArray[np.float64]
 
 
-class ProgramSystem(SystemUnderTest):
+class ProgramSystem(DescribedSystem):
     """The program of a campaign file; it is started by the first rollout, and again after a failed one."""
 
     def __init__(
@@ -58,7 +58,8 @@ class ProgramSystem(SystemUnderTest):
     ) -> None:
         assert choice.program is not None, "of a program"
         self.declared = declared
-        self._spec, self._choice, self._folder = spec, choice, folder
+        super().__init__(spec)
+        self._choice, self._folder = choice, folder
         # The script of an interpreter, else the program itself.
         self._program = next(reversed(spec.code))
         limits = choice.limits or ProgramLimits()
@@ -66,11 +67,6 @@ class ProgramSystem(SystemUnderTest):
         self._running: RunningProgram | None = None
         self._asked = self._number = 0
         _remove_stale()
-
-    @property
-    def spec(self) -> SystemSpec:
-        """The specification that follows from `[system]` and `[space]`."""
-        return self._spec
 
     def rollout(
         self,
@@ -122,10 +118,6 @@ class ProgramSystem(SystemUnderTest):
             raise
         finally:
             _remove(path)
-
-    def visual(self, trajectory: Trajectory) -> Visual:  # noqa: ARG002  (the same for all)
-        """Return a plot of every column: a program has no scene."""
-        return Visual(plots=True)
 
     def end(self) -> None:
         """End the program, if it runs; the next rollout starts it anew."""

@@ -40,7 +40,7 @@ os.chdir(os.environ["PERFBOUND_SCRATCH"])  # and writes a file
 for line in sys.stdin:
     request = json.loads(line)
     answer = {"request": request["request"]}
-    # JSBSim has the aircraft, and no file of this folder: its version stands in the campaign file.
+    # JSBSim has the aircraft, and no file of this folder: its version is in the campaign file.
     if jsbsim.__version__ == request["options"]["jsbsim"]:
         np.save(request["path"], flight(**request["start"], horizon=request["horizon"]))
         answer["done"] = True

@@ -69,10 +69,15 @@ def anyway(verdict: CampaignVerdict, predicate: Predicate) -> str:
 def _with_other_constants(predicate: Predicate, unit: str, required: float | None) -> Iterator[str]:
     claim = predicate.claims[0]
     of_claim = unit if claim.quantity in IN_UNIT else ""
-    rows = [row for row in predicate.sensitivity or () if row.claim == 0]
+    rows = _of_first_claim(predicate)
     if rows:
         changed = (f"{CHANGES[row.constant, row.factor]} {_bound_with(claim, row, of_claim, required)}" for row in rows)
         yield f"{'; '.join(changed)}."
+
+
+def _of_first_claim(predicate: Predicate) -> list[Sensitivity]:
+    """Return the first claim with other constants."""
+    return [row for row in predicate.sensitivity or () if row.claim == 0]
 
 
 def _wrong_at_most(claim: CertificateClaim) -> str:
@@ -103,11 +108,8 @@ def rests_on(predicate: Predicate, config: CampaignConfig, required: float | Non
     the tests need show.
     """
     claim = predicate.claims[0]
-    rows = [row for row in predicate.sensitivity or () if row.claim == 0]
-    decisive = {row.constant for row in rows if (row.constant, row.factor) in DOUBTS}
-    decisive -= {
-        row.constant for row in rows if (row.constant, row.factor) in DOUBTS and _is_enough(claim, row, required)
-    }
+    doubts = (row for row in _of_first_claim(predicate) if (row.constant, row.factor) in DOUBTS)
+    decisive = {row.constant for row in doubts if not _is_enough(claim, row, required)}
     norms = {each.rkhs_norm for each in config.problems if isinstance(each, KernelProblem)}
     found = []
     if "rkhs_norm" in decisive:

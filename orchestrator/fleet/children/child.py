@@ -14,6 +14,7 @@ from typing import IO
 from ....schemas.errors import CampaignError, PerfboundError, meant, one_line
 from ....schemas.file.config import CampaignConfig
 from ....schemas.file.reader import load_description
+from ....schemas.file.space import KINDS
 from ....schemas.system import SystemSpec
 from .family import GRACE, STACK_WRITER, end_family, held_signals, place_of_stack, without_stack
 
@@ -74,10 +75,6 @@ def system_options(reference: str | None) -> list[str]:
     """
     found = resolved(reference) if reference is not None else ""
     return ["--system", found] if in_file(found) else []
-
-
-MODELS = {".fmu": "fmu", ".xml": "mjcf"}
-"""Keys of `[system]` by the files that they name."""
 
 
 def ask(
@@ -227,7 +224,8 @@ def system_spec(reference: str, where: str) -> SystemSpec:
     if name not in known:
         near = meant(name, known)
         allowed = ", ".join(sorted(known))
-        if (kind := MODELS.get(Path(name).suffix)) is not None:
+        kind = next((key for key, each in KINDS.items() if each.suffix and name.endswith(each.suffix)), None)
+        if kind is not None:
             raise CampaignError(
                 f"{where}: {name!r} is named by a file: write [system] with {kind} = {Path(name).name!r} and [space] "
                 "with the ranges of its parameters into a file beside it, and give that one"

@@ -85,10 +85,10 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
     spec = as_in_campaign(system_spec(wish.reference, "SYSTEM"), known).as_simulated
     wish = replace(wish, question=wish.question or (DEFAULT if len(spec.parameters) <= LATTICE_PARAMETERS else IN_MANY))
     question = QUESTIONS[wish.question]
-    if wish.question == "safe" and len(spec.parameters) > LATTICE_PARAMETERS:
+    if question.of_box and len(spec.parameters) > LATTICE_PARAMETERS:
         raise PerfboundError(
-            f"--question safe: {spec.name} has {len(spec.parameters)} parameters, and a map of safe starts is for at "
-            f"most {LATTICE_PARAMETERS}; ask --question {IN_MANY}"
+            f"--question {wish.question}: {spec.name} has {len(spec.parameters)} parameters, and a map of safe "
+            f"starts is for at most {LATTICE_PARAMETERS}; ask --question {IN_MANY}"
         )
     if wish.specification is None and known is not None and known.specification:
         wish = replace(wish, specification=known.specification)
@@ -126,7 +126,7 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
         raise _exists(out) from None
     yield f"{out}: {news}"
     yield from scope(plan.plans(written, spec), listed_alone=True)
-    yield from _next_steps(wish, campaign, out, failed=found is None)
+    yield from _next_steps(wish, campaign, out, slow=found is None)
 
 
 def _piloted(
@@ -151,10 +151,10 @@ def _piloted(
         raise PilotError(f"the pilot failed, and nothing is written: {error}; for all faults: {command}") from None
 
 
-def _next_steps(wish: Wish, campaign: FirstCampaign, out: Path, *, failed: bool) -> Iterator[str]:
+def _next_steps(wish: Wish, campaign: FirstCampaign, out: Path, *, slow: bool) -> Iterator[str]:
     """Yield what to do with the file."""
     drawn, file = campaign.question.drawn, shlex.quote(str(out))
-    if failed:
+    if slow:
         yield (
             f"Shorten the horizon or the rollouts, and write the file anew; or replace the guesses. For all faults: "
             f"perfbound check-system {file}"

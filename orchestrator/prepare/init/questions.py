@@ -46,6 +46,8 @@ class Question:
     """Whether a clip is written where rollouts are noisy; the bound of a frequency or of an order needs none."""
     always_clip: bool = False
     """Whether it is also written where nothing is random."""
+    of_box: bool = False
+    """Whether it is about a whole box, and so for few parameters alone."""
 
     @property
     def values(self) -> str:
@@ -283,6 +285,7 @@ QUESTIONS: Mapping[str, Question] = {
         "shares of the box that are certified safe, certified unsafe or undecided, as map and list",
         "regions = true",
         _safe,
+        of_box=True,
     ),
     "how-often": Question(
         "How often does it fail?",

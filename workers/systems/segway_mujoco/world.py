@@ -18,6 +18,7 @@ from mujoco import rollout as batched
 from ....schemas.errors import SimulationError
 from ....schemas.trajectory.trajectory import Floats
 from ..base import Progress
+from ..mujoco_warnings import WARNINGS, listen
 from ..segway.bullet import (
     COLUMNS,
     CONTROL_RATE,
@@ -41,6 +42,7 @@ class MujocoWorld:
     """The model, for one batch of rollouts after the other."""
 
     def __init__(self) -> None:
+        listen(mujoco)
         self._model: Any = mujoco.MjModel.from_xml_path(str(Path(__file__).with_name("model.xml")))
         self._data: Any = mujoco.MjData(self._model)
 
@@ -54,6 +56,7 @@ class MujocoWorld:
         """
         model, data = self._model, self._data
         first = _first_states(start[np.newaxis])[0]
+        WARNINGS.clear()
         mujoco.mj_resetData(model, data)
         data.qpos[:], data.qvel[:] = first[QPOS], first[QVEL]
         rows = np.empty((steps + 1, COLUMNS))
@@ -68,7 +71,7 @@ class MujocoWorld:
             data.ctrl[0], data.ctrl[1] = _torques(values, qvel)
             data.qacc_warmstart[:] = 0.0  # as at each call of `mujoco.rollout`
             mujoco.mj_step(model, data, SUB_STEPS)
-        if any(each.number for each in data.warning):
+        if WARNINGS:
             raise SimulationError("MuJoCo warns that the simulation is not stable")
         return _timed(_held(rows, step))
 
@@ -80,6 +83,7 @@ class MujocoWorld:
             Cancelled: raised by `progress`.
 
         """
+        WARNINGS.clear()
         states = _first_states(starts)
         rows = np.empty((steps + 1, COLUMNS, len(starts)))
         ended = np.full(len(starts), steps)

@@ -106,7 +106,7 @@ def test_what_is_not_finite_never_reaches_the_engine() -> None:
 
 def test_a_rollout_that_is_not_stable_fails_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By torques that no motor has."""
-    monkeypatch.chdir(tmp_path)  # MuJoCo writes a log there
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(world, "MOTOR_CONSTANT", np.array([1.0, 1e300]))
     found = WORLD.rollouts(np.array([[1.0, 1.0, 0.0, 0.1]] * 2), 60, GAINS["paper"], lambda _: None)
     assert np.isfinite(found[0]).all()
@@ -114,6 +114,7 @@ def test_a_rollout_that_is_not_stable_fails_alone(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(world, "MOTOR_CONSTANT", 1e300)
     with pytest.raises(SimulationError, match="not stable"):
         WORLD.rollout(np.array([1.0, 1.0, 0.0, 0.1]), 60, GAINS["paper"], lambda _: None)
+    assert not list(tmp_path.iterdir()), "MuJoCo writes a log there by itself"
 
 
 @pytest.mark.parametrize("many", [False, True])
