@@ -100,7 +100,6 @@ class MujocoWorld:
                 if step % PROGRESS_STEPS == 0:
                     progress(step)
                 torques = np.stack(_torques(values, qvel), axis=1)
-                torques[ended < steps] = 0.0  # it lies on the ground, and its last row is held
                 control = np.repeat(torques[:, np.newaxis], SUB_STEPS, axis=1)
                 found, _ = pool.rollout(self._model, [self._data], states, control)
                 states = found[:, -1]

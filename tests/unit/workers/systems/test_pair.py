@@ -74,7 +74,7 @@ def test_each_variant_is_that_of_its_simulator(pair: Make) -> None:
     assert spec.simulators.keys() == {"nominal", "true"}
     assert not spec.residual
     keys: dict[str, Any] = {"seed": 7, "horizon": 1.0, "options": {}, "progress": lambda _: None}
-    nominal = both.rollout((2.5,), variant="nominal", **keys)
+    nominal = both.rollout((2.5,), variant="nominal", disturbances={"gust": 0.25}, **keys)
     true = both.rollout((2.5,), variant="true", disturbances={"gust": 0.25}, **keys)
     assert nominal.samples.tolist() == [[0.0, 2.5], [0.5, 4.0]]
     assert true.samples.tolist() == [[0.0, 2.75], [0.25, 2.5], [0.5, 2.5], [0.75, 5.5]]
