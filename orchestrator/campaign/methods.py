@@ -38,7 +38,7 @@ from ..mathematics.gp.lattice import Lattice
 from .observation import by_requirement
 from .plan import UNBOUNDED, Plans, ProblemPlan, unsafe_below, value_range
 from .seeds import Floats, rollout_seeds
-from .starts import Draws
+from .starts import drawn_starts
 
 PartMethod = RigorousMethod | KrigingMethod | ScenarioMethod
 """A method that bounds one of several requirements."""
@@ -101,7 +101,7 @@ def _one_method(plan: ProblemPlan, header: Header) -> OneMethod:
             known = disturbed(plan, header, samples)
             return SampleMethod(
                 [_terms(plan, claim, known) for claim in plan.claims],
-                Draws(header, plan.name).start,
+                drawn_starts(header, plan.name),
                 # An exact bound needs a number of samples that no outcome decides, and a counterexample decides it.
                 fixed=None if plan.until_counterexample else samples,
                 largest=plan.sense == "max",

@@ -102,6 +102,12 @@ class Draws:
         )
 
 
+def drawn_starts(header: Header, design: str) -> Callable[[int], Start]:
+    """Return start 0, 1, 2, ... of the tests of a problem: drawn here, or those from which logs were made."""
+    tests = header.config.recorded
+    return (lambda number: tests[number].start) if tests else Draws(header, design).start
+
+
 def _transform(header: Header) -> tuple[int, Callable[[Floats], list[Start]]]:
     """Return how many uniform numbers a start takes, and how starts follow from them, shape (n, width)."""
     space = header.config.space

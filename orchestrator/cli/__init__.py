@@ -3,6 +3,7 @@
 from . import (  # each adds its commands
     campaigns,
     certificate,
+    imported,
     manual,
     pki,
     prepare,
@@ -17,6 +18,7 @@ from .entry import main
 __all__ = [
     "campaigns",
     "certificate",
+    "imported",
     "main",
     "manual",
     "pki",

@@ -159,7 +159,7 @@ def resume(
     options = RunOptions(local, way, drain, system)
     with resumable(directory, options=options.resume_options):
         resumed = session.resume_campaign(directory, options, STDERR.console, max_tests)
-        _finish(directory, key, strict=strict, on_finish=on_finish, report=resumed)
+        finish(directory, key, strict=strict, on_finish=on_finish, report=resumed)
 
 
 def _run_new(
@@ -185,7 +185,7 @@ def _run_new(
     settings = RunOptions(workers, link_of(**options), drain)
     with resumable(directory, options=settings.resume_options):
         session.start_campaign(config, campaign, directory, settings, STDERR.console)
-        _finish(directory, key, **at_end, report=True)
+        finish(directory, key, **at_end, report=True)
 
 
 def _overrides(seed: int | None, *, until_counterexample: bool) -> dict[str, Any]:
@@ -193,9 +193,10 @@ def _overrides(seed: int | None, *, until_counterexample: bool) -> dict[str, Any
     return ({} if seed is None else {"seed": seed}) | ({"until_counterexample": True} if until_counterexample else {})
 
 
-def _finish(
+def finish(
     directory: Path, key: "Ed25519PrivateKey | None", *, strict: bool, on_finish: str | None, report: bool
 ) -> None:
+    """Sign and draw a finished campaign, print its end, and exit by what was asked of it."""
     from ..run.directory import finished_certificate  # noqa: PLC0415
     from ..store.read import stored_header  # noqa: PLC0415
     from .result import print_end  # noqa: PLC0415

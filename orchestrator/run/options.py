@@ -93,8 +93,8 @@ def check_workers(spec: SystemSpec, own: OwnSystem | None, place: Path) -> None:
     """Refuse a system that no worker can have."""
     if spec.repeated == "nowhere":
         raise CampaignError(
-            f"{place}: no simulator makes the rollouts of {spec.name}; hand them in: Campaign.ask_tell, or "
-            f"perfbound.open({str(place)!r}).ask_tell() for a campaign that has begun"
+            f"{place}: no simulator makes the rollouts of {spec.name}; hand them in: `perfbound import` takes logs "
+            f"that exist; Campaign.ask_tell, or perfbound.open({str(place)!r}).ask_tell() for a campaign that has begun"
         )
     if spec.repeated == "session" and own is None:
         raise CampaignError(

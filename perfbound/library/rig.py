@@ -4,8 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from ..schemas.errors import DefinitionError
-from ..schemas.system import AfterEnd, Parameter, SystemSpec, timed_columns
+from ..schemas.system import AfterEnd, Parameter, SystemSpec
 from ..schemas.values import Stamps
+from ..workers.systems.rig import rig_spec
 
 
 @dataclass(frozen=True)
@@ -43,15 +44,13 @@ class Rig:
     def spec(self) -> SystemSpec:
         """The specification of the rig."""
         try:
-            return SystemSpec(
-                name=self.name,
-                doc=self.doc,
-                parameters=tuple(each.model_copy(update={"name": key}) for key, each in self.parameters.items()),
-                columns=timed_columns(self.columns, self.after_end),
-                variants=("nominal",),
-                noisy=("nominal",) if self.noisy else (),
+            return rig_spec(
+                self.name,
+                tuple(each.model_copy(update={"name": key}) for key, each in self.parameters.items()),
+                self.columns,
+                noisy=self.noisy,
                 max_horizon=self.max_horizon,
-                repeated="nowhere",
+                doc=self.doc,
                 stamps=self.stamps,
                 after_end=self.after_end,
             )

@@ -9,47 +9,23 @@ import threading
 import weakref
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
-from rich.console import Console
-
-from ..orchestrator.campaign.admission import Admission
-from ..orchestrator.campaign.ledger import Ledger, Work
-from ..orchestrator.campaign.software import software
-from ..orchestrator.certificate import files
-from ..orchestrator.run import session
-from ..orchestrator.run.certify import certify
-from ..orchestrator.run.directory import stored_differently
-from ..orchestrator.run.link import Link
-from ..orchestrator.run.options import RunOptions, check_own, reopened
-from ..orchestrator.store import read
+from ..orchestrator.run.told import ToldRollouts, journal_in
 from ..orchestrator.store.journal import Journal
-from ..orchestrator.store.rows import DATABASE
 from ..schemas.amounts import counted
-from ..schemas.batch import alone
-from ..schemas.errors import PerfboundError, RequestError, UnusableTrajectoryError, shortened
-from ..schemas.failure import Failure
+from ..schemas.errors import PerfboundError, RequestError, shortened
 from ..schemas.file.config import CampaignConfig
-from ..schemas.host import host_name
-from ..schemas.ids import Attempt, RolloutId
-from ..schemas.link.configuration import LOCAL
-from ..schemas.result.facts import RECORDED, RESTORED, Header
+from ..schemas.ids import RolloutId
 from ..schemas.rollout import RolloutRequest
 from ..schemas.system import OptionValue, SystemSpec
-from ..schemas.trajectory.batch import digest_of
 from ..schemas.trajectory.input_signal import start_values
-from .handed_in import Admitted, admitted
+from .handed_in import admitted
 from .process import reproducible
 from .run import Run
 from .system_argument import GivenSystem
-
-SILENT = Console(quiet=True)
-_BY_HAND = RunOptions(0, Link(LOCAL))
-"""Of sessions without workers."""
-TOLD_BY = "told"
-"""The worker of a rollout that was handed in."""
 
 
 @dataclass(frozen=True)
@@ -88,90 +64,6 @@ class TrialRequest:
         return self.request.x
 
 
-class _Rollouts:
-    """The rollouts of a campaign that are told: those that are wanted, and those that are recorded."""
-
-    def __init__(self, directory: Path, journal: Journal) -> None:
-        self.directory, self._journal, self._ledger = directory, journal, Ledger(directory, journal)
-        self._admission = Admission(self._ledger)
-        self.spec = journal.header.spec
-        self.wanted: dict[RolloutId, None] = {}
-        """In the order of the tests."""
-        self._attempts = read.attempts(directory)
-        self._ledger.replay()
-        self._ledger.check_files(journal)
-        with self._ledger.transaction():
-            self._take(self._ledger.outstanding())
-        self._certify()
-
-    def known(self, name: object) -> RolloutId:
-        """Return the rollout of a request that is wanted, or was told before; raises `RequestError`."""
-        if not isinstance(name, str):
-            raise _no_request(name)
-        try:
-            rollout = RolloutId.parse(name)
-        except ValueError:
-            raise _no_request(name) from None
-        if rollout not in self.wanted and all(rollout != fact.rollout for fact in self._journal.recorded()):
-            raise RequestError(f"{rollout}: not wanted, or no longer; ask again")
-        return rollout
-
-    def request(self, rollout: RolloutId) -> RolloutRequest:
-        """Return the request of a rollout that is wanted or was told."""
-        if rollout in self.wanted:
-            return alone(self._ledger.request(rollout))
-        start = self._journal.proposal(rollout.problem, rollout.test).proposal.x
-        return self._ledger.header.template.request(rollout, start, self._journal.rollout(rollout).seed)
-
-    def same(self, rollout: RolloutId, told: Admitted) -> bool:
-        """Whether a rollout was told the same trajectory before, in whatever form."""
-        fact = self._journal.rollout(rollout)
-        return fact.sha256 == told.sha256 or self._ledger.recorded.digest(rollout) == digest_of(told.trajectory)
-
-    def check(self, rollout: RolloutId, told: Admitted) -> None:
-        """Refuse a trajectory from which the objective cannot be computed."""
-        try:
-            self._admission.check(rollout, told.trajectory)
-        except UnusableTrajectoryError as fault:
-            raise UnusableTrajectoryError(f"{rollout}: {fault}") from None
-
-    def record(self, rollout: RolloutId, told: Admitted) -> None:
-        """Make a trajectory durable, and everything that follows from it."""
-        outcome = RESTORED if self._ledger.restores(rollout) else RECORDED
-        with self._ledger.transaction():
-            attempt = self._attempt(rollout)
-            work = self._ledger.record(rollout, told.payload, told.trajectory, told.sha256)
-            self._journal.attempts.ended(attempt, TOLD_BY, outcome)
-        del self.wanted[rollout]
-        self._take(work)
-        self._certify()
-
-    def failed(self, rollout: RolloutId, reason: str) -> None:
-        """Record a trial that the system did not survive."""
-        with self._ledger.transaction():
-            self._journal.attempts.ended(self._attempt(rollout), TOLD_BY, Failure("system", reason))
-
-    def _attempt(self, rollout: RolloutId) -> Attempt:
-        attempt = Attempt(rollout, self._attempts.get(rollout, 0) + 1)
-        self._attempts[rollout] = attempt.number
-        self._journal.attempts.started(attempt, TOLD_BY, host_name(), os.getpid())
-        return attempt
-
-    def _take(self, work: Work) -> None:
-        self.wanted |= dict.fromkeys(work.wanted)
-        for rollout in work.unwanted:
-            self.wanted.pop(rollout, None)
-
-    def _certify(self) -> None:
-        if not self._ledger.done or files.read(self.directory) is not None:
-            return
-        self._journal.check_place()
-        if self._ledger.check_files(self._journal, whole=True):
-            self._take(self._ledger.outstanding())  # what was removed meanwhile is wanted again
-        else:
-            certify(self.directory, self._ledger)
-
-
 class Study:
     """A campaign that is asked and told, under the lock of its run directory, by any threads of one process.
 
@@ -181,10 +73,11 @@ class Study:
     """
 
     def __init__(self, directory: Path, journal: Journal, stack: ExitStack, step: float | None) -> None:
-        self.directory, self._stack, self._step = directory, stack, step
+        self.directory, self._stack = directory, stack
+        self._step = step or journal.header.config.system.step
         self._process, self._lock = os.getpid(), threading.RLock()
         with reproducible():
-            self._open: _Rollouts | None = _Rollouts(directory, journal)
+            self._open: ToldRollouts | None = ToldRollouts(directory, journal)
 
     @property
     def run(self) -> Run:
@@ -208,8 +101,9 @@ class Study:
         """Hand in the trajectory of a request, or of its id.
 
         `data` is what a function under `@perfbound.system` may return: a `Trajectory`, an array (T,) for each column,
-        one array (T, n), a dict or a DataFrame of columns; or a path: a CSV file with a line of titles, or the MCAP
-        file that `perfbound` has made for this request. Without a column `t`, `step` is the time between two samples.
+        one array (T, n), a dict or a DataFrame of columns; or the path of a log: of CSV, Parquet, MAT, MCAP or a bag,
+        as the campaign file maps it, or the MCAP file that `perfbound` has made for this request. Without a column
+        `t`, `step` is the time between two samples.
         The same data told again change nothing.
 
         Data that do not fit, are not finite, or end before the horizon, are refused, and change nothing: they may be a
@@ -222,7 +116,8 @@ class Study:
         """
         with self._locked() as rollouts:
             rollout = _known(rollouts, request)
-            told = admitted(rollouts.request(rollout), rollouts.spec, data, self._step if step is None else step)
+            asked, apart = rollouts.request(rollout), self._step if step is None else step
+            told = admitted(asked, rollouts.spec, data, apart, rollouts.mapping)
             if rollout not in rollouts.wanted:
                 if not rollouts.same(rollout, told):
                     raise RequestError(f"{rollout}: another trajectory was told before, and a record never changes")
@@ -262,7 +157,7 @@ class Study:
             self._stack.close()
 
     @contextmanager
-    def _locked(self) -> Iterator[_Rollouts]:
+    def _locked(self) -> Iterator[ToldRollouts]:
         """Give one thread after the other the state of the campaign."""
         self._check_process()  # before the lock: in a fork it may be held by a thread that is not there
         with self._lock, reproducible():
@@ -312,7 +207,7 @@ class Study:
         return f"<Study in {self.directory}: {state}>"
 
 
-def _known(rollouts: _Rollouts, request: object) -> RolloutId:
+def _known(rollouts: ToldRollouts, request: object) -> RolloutId:
     """Return the rollout of a request of this study, or of its id."""
     if not isinstance(request, TrialRequest):
         return rollouts.known(request)
@@ -326,10 +221,6 @@ def _reason(rollout: RolloutId, given: object) -> str:
     if not isinstance(given, str) or not given.strip():
         raise RequestError(f"{rollout}: reason: {shortened(repr(given), 80)} is no text; give why the trial failed")
     return given
-
-
-def _no_request(given: object) -> RequestError:
-    return RequestError(f"{shortened(repr(given), 80)} is no request; give what ask() returned, or its id")
 
 
 _OPEN: "weakref.WeakValueDictionary[Path, Study]" = weakref.WeakValueDictionary()
@@ -348,28 +239,9 @@ def open_study(directory: Path, config: CampaignConfig | None = None, system: Gi
     if (before := _OPEN.get(directory)) is not None and before.is_here:
         before.close()
     step = system.step if system else None
+    given = (None, None) if system is None else (system.spec, system.reference)
     with ExitStack() as stack:
-        if (directory / DATABASE).exists() or config is None or system is None:
-            if config is not None and (found := stored_differently(directory, config)):
-                raise PerfboundError(f"{directory}: another campaign is here ({found}); choose another `out`")
-            # No worker: of an installed system nothing is compared: the caller has it.
-            options = replace(_BY_HAND, system=system.reference if system else None)
-            journal, _ = stack.enter_context(reopened(directory, options))
-            _check_opinions(journal.header.config)
-            if system is not None and system.spec.repeated != "anywhere":
-                check_own(journal.header, system.spec)
-        else:
-            _check_opinions(config)
-            header = Header.new(config, system.spec, software(system.spec))
-            journal = stack.enter_context(session.created(directory, header, _BY_HAND.origin(system.reference)))
+        journal = stack.enter_context(journal_in(directory, config, *given))
         study = Study(directory, journal, stack.pop_all(), step)
     _OPEN[directory] = study
     return study
-
-
-def _check_opinions(config: CampaignConfig) -> None:
-    """Refuse a campaign whose certificate would state comparisons that nobody makes."""
-    if config.second_opinion:
-        raise PerfboundError(
-            "second_opinion: rollouts that are handed in have no second worker; leave the key out, or run the campaign"
-        )

@@ -78,6 +78,10 @@ def completed(table: Mapping[str, Any], stem: str = "") -> dict[str, Any]:
     name = re.sub("[^a-z0-9_]+", "-", stem.lower()).strip("-_")[:64]
     # Before validation, so that database and certificate have every key, and no reader asks whether one is there.
     found = {"name": name, **table} if name else dict(table)
+    if isinstance(system := found.get("system"), Mapping) and "rig" in system:
+        found.setdefault("recheck", 0)  # nobody repeats its rollouts
+    if isinstance(tests := found.get("recorded"), list | tuple):
+        found.setdefault("max_tests", len(tests))
     if isinstance(space := found.get("space"), Mapping):
         if isinstance(space.get("where"), str) and "where" not in table:
             # A parameter may be called `where`: its value is a range.
@@ -167,7 +171,9 @@ def _method(problem: Mapping[str, Any], table: Mapping[str, Any]) -> MethodName:
     if isinstance(space, Mapping) and "scenarios" in space:
         return "scenario"
     # Every other method has a tolerance: where it is given, the space is at fault and not the method.
-    asked = bool(table.keys() & {"specifications", "falsify"}) or (isinstance(space, Mapping) and _is_drawn(space))
+    asked = bool(table.keys() & {"specifications", "falsify", "recorded"}) or (
+        isinstance(space, Mapping) and _is_drawn(space)
+    )
     return "sample" if _claims_draws(table) or (asked and "alpha" not in problem) else "rigorous"
 
 

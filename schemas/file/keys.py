@@ -12,6 +12,7 @@ from .drawn_claims import SAMPLED, ClaimRequest, DrawnClaim, drawn_claims
 from .method_spaces import MAX_CANDIDATES, MOST_STARTS, RESOLUTION, fixed_starts
 from .objectives import OBJECTIVES, Sense
 from .problem_models import Falsify, Gap, Problem, SampleProblem
+from .recorded import MAX_LOGS, RecordedTest
 from .requirements import MOST, Requirement, conjunction
 from .space import Space, SystemChoice
 
@@ -236,6 +237,13 @@ class CampaignKeys(CampaignSize):
         max_length=100,
         exclude_if=lambda claims: claims == (),
         description="what is claimed, the answer to the question of the file first",
+    )
+
+    recorded: tuple[RecordedTest, ...] = Field(
+        default=(),
+        max_length=MAX_LOGS,
+        exclude_if=lambda tests: tests == (),
+        description="the tests of logs, in their order; `perfbound import` writes it",
     )
 
     @field_validator("until_counterexample")

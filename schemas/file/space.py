@@ -15,6 +15,7 @@ from ..system import AfterEnd, OptionValue, Variant
 from ..values import DistributionName, Stamps
 from .distributed import Distributed, described_key
 from .disturbance import MAX_DISTURBANCES, Disturbance
+from .logs import LogMapping
 from .signals import MAX_KNOTS, SignalKind, least_knots
 
 MAX_SCENARIOS = 1000
@@ -102,6 +103,17 @@ class SystemChoice(Model, extra="allow"):
         max_length=1000,
         description="the file of a Functional Mock-up Unit of FMI 2 or 3, relative to the campaign file; options of "
         "`[system]` are start values of its variables",
+    )
+    rig: str | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        pattern=r"^[a-z][a-z0-9-]{0,63}$",
+        description="a rig or a vehicle, by a name for it: its rollouts are logs, by `perfbound import` or one by one",
+    )
+    logs: LogMapping | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="of a rig: how its logs become columns",
     )
     interface: Literal["co-simulation", "model-exchange"] | None = Field(
         default=None,
@@ -197,6 +209,8 @@ class SystemChoice(Model, extra="allow"):
             raise ValueError(f"{key}: this key is for {_kinds_with(key)} alone")
         if missing := next((key for key in kind.required if getattr(self, key) is None), None):
             raise ValueError(f"{missing}: required by {kind.words}: {kind.required[missing]}")
+        if self.logs is not None:
+            self.logs.check_columns(self.columns or {})
         if self.nominal is not None and self.true is not None:
             self._check_pair(self.nominal, self.true)
         return self
@@ -318,6 +332,13 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         ),
         "mjcf": Kind(
             "a model for MuJoCo", 'mjcf = "NAME.xml"', (*RECORDED_KEYS, "controller"), described=True, suffix=".xml"
+        ),
+        "rig": Kind(
+            "a rig",
+            'rig = "NAME"',
+            ("columns", "step", "noisy", "stamps", "after_end", "logs"),
+            {"columns": 'its columns with their units, { distance = "m" }'},
+            described=True,
         ),
         "nominal": Kind(
             "two simulators",

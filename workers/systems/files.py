@@ -23,6 +23,7 @@ from .declared import DeclaredFiles, WithSpec, declared_files
 from .fingerprint import code_of_files, sources_of, versions_of
 from .pair import Half, TwoSimulators
 from .program import load_program
+from .rig import load_rig
 
 MODULE = "perfbound_system"
 """Name of the module of a file; its own would hide an installed one."""
@@ -60,6 +61,8 @@ def _described(path: Path, config: CampaignConfig) -> SystemUnderTest:
             from .mjcf import load_mjcf  # noqa: PLC0415  (needs an extra)
 
             return load_mjcf(path, config)
+        case "rig":
+            return load_rig(path, config)
         case "python":
             return load_file(str(path.absolute().parent / (config.system.python or "")), config.system, path)
         case "nominal":

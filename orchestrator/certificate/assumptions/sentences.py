@@ -238,6 +238,28 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "assumed": "the claims are about starts that are distributed as [space] declares; that operation meets such "
         "starts, with such frequencies, is assumed.",
     },
+    "starts_of_logs": {
+        "assumed": "the {samples} starts are those of the logs: that they were drawn independently of each other from "
+        "the distribution under [space], and that every test that was made is among them, whatever its outcome, is "
+        "assumed.",
+    },
+    "law_of_starts": {
+        "refuted": "the starts of the logs do not have the distribution under [space]: {kind} is not {law} (evidence "
+        "{e_value} against {threshold}, a false alarm of probability {level}).",
+        "not refuted": "the starts of the logs do not contradict the distribution under [space], each parameter by "
+        "itself (evidence {e_value} against {threshold}). A scale that is wrong by {unseen} % passes in about half of "
+        "such campaigns.",
+        "assumed": "the starts of the logs were not compared with the distribution under [space]: its parameters "
+        "have no laws of their own.",
+    },
+    "columns_of_logs": {
+        "assumed": "the columns are those of the logs, in the units of the system and with a time that begins at "
+        "the start, as the mapping of the file says; that it says so rightly is assumed.",
+    },
+    "resampled_logs": {
+        "assumed": "the columns are those of the logs as the mapping of the file says, at every {resample} s of the "
+        "rollout: a value between is {between}. What a log does not show between two samples is not judged.",
+    },
     "drawn_fixed": {
         "derived": "the {samples} starts follow from the seed and their numbers alone, and their number was fixed "
         "beforehand: none was proposed, dropped or repeated because of an outcome. {at_zero} values are exactly 0, "
@@ -518,6 +540,8 @@ STATEMENTS = {
     "declared_distribution": "in operation, starts are distributed as the file declares",
     "declared_laws": "what rollouts report of their disturbances has the declared laws",
     "defined_in_session": "the function uses nothing of its session that changes",
+    "columns_of_logs": "the columns are what the mapping makes of the logs",
+    "law_of_starts": "the starts of the logs have the declared distribution",
     "design": "all tests were planned before the first outcome",
     "common_times": "the gap shows at the times of the coarser simulator",
     "deterministic": "the simulator is deterministic",

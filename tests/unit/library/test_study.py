@@ -151,13 +151,13 @@ def test_data_that_do_not_fit_are_refused_and_change_nothing(study: Study, data:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "its first line is ''; give t,y"),
-        ("t,z\n0,1\n", "its first line is 't,z'; give t,y"),
-        ("t,y,y\n0,1,1\n", "give t,y"),
-        ("t,y (km)\n0,1\n", "y is in 'km'; give it in 'm'"),
+        ("", "it is empty; its columns are t, y"),
+        ("t,z\n0,1\n", "there is no column 'y'; it has t, z"),
+        ("t,y,y\n0,1,1\n", "two columns are called 'y'"),
+        ("t,y (km)\n0,1\n", "y is in 'km', and the system has it in 'm'"),
         ("t,y\n0,x\n", "'x' is no number"),
-        ("t,y\n0,1\n1\n", "2 lines of differing lengths"),
-        ("t,y\n", "0 lines"),
+        ("t,y\n0,1\n1\n", "line 3 has 1 cells, and the first line 2"),
+        ("t,y\n", "it has no sample"),
     ],
 )
 def test_a_csv_file_that_is_none_is_refused(study: Study, tmp_path: Path, text: str, words: str) -> None:

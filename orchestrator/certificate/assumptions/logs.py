@@ -1,0 +1,79 @@
+"""The assumptions behind tests that were made before the campaign, and are known by their logs."""
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from ....schemas.draws.laws import ReportedLaws
+from ....schemas.file.distributed import DISTRIBUTIONS
+from ....schemas.file.disturbance import Disturbance
+from ....schemas.file.logs import LogMapping
+from ....schemas.file.parameters import parameter_ranges
+from ....schemas.file.space import Range
+from ....schemas.result.certificate import Assumption
+from ....schemas.result.facts import Header
+from ...mathematics.bounds.checks.law import LawTest
+from .sentences import assumption
+
+MOST_STEPS = 1000
+"""Steps of a range that are compared one by one."""
+
+
+def of_logs(found: Iterable[Assumption], name: str, header: Header) -> Iterator[Assumption]:
+    """Yield the assumptions of a problem; where its tests are logs, those on drawn starts are on these."""
+    tests = header.config.recorded
+    for each in found:
+        if not tests or each.id != f"drawn_starts/{name}":
+            yield each
+            continue
+        yield assumption(each.id, "assumed", {"samples": len(tests)}, form="starts_of_logs")
+        yield _law_of_starts(name, header)
+        yield _columns(name, header.config.system.logs or LogMapping())
+
+
+def _law_of_starts(name: str, header: Header) -> Assumption:
+    """Return the assumption that the starts of logs have the law of `[space]`, tested one parameter at a time."""
+    laws = _laws(header)
+    if not laws:
+        return assumption(f"law_of_starts/{name}", "assumed")
+    places = [k for k, _ in laws]
+    values = np.array([test.start for test in header.config.recorded])[:, places]
+    known, test = ReportedLaws([law for _, law in laws]), LawTest(len(laws))
+    # Independent of the starts: any fixed sequence is.
+    test.observe(known.shares(values, np.random.default_rng(0).random(values.shape)))
+    finding = test.finding()
+    law = laws[int(finding.values["kind"])][1]
+    return assumption(f"law_of_starts/{name}", finding.status, {**finding.values, "kind": law.name, "law": law.words})
+
+
+def _laws(header: Header) -> list[tuple[int, Disturbance]]:
+    """Return the parameters, by their places, whose values have a law of their own."""
+    space = header.config.space
+    # Of a region or a table the parameters depend on one another.
+    if not isinstance(space, dict) or header.config.where is not None:
+        return []
+    laws = ((k, _law(name, box)) for k, (name, box) in enumerate(parameter_ranges(space).items()))
+    return [(k, law) for k, law in laws if law is not None]
+
+
+def _law(name: str, box: Range) -> Disturbance | None:
+    if box.choices is not None:
+        return Disturbance(name=name, unit=box.unit, choices=box.choices) if len(set(box.choices)) > 1 else None
+    if box.step is not None:
+        if box.distribution != "uniform" or not 0 < box.steps < MOST_STEPS:
+            return None
+        values = tuple(box.low + k * box.step for k in range(box.steps + 1))
+        return Disturbance(name=name, unit=box.unit, choices=values)
+    if not box.low < box.high:
+        return None
+    keys = {key: getattr(box, key) for key in DISTRIBUTIONS[box.distribution]}
+    return Disturbance(name=name, unit=box.unit, low=box.low, high=box.high, distribution=box.distribution, **keys)
+
+
+def _columns(name: str, mapping: LogMapping) -> Assumption:
+    """Return the assumption that the mapping makes of logs what the columns mean."""
+    if mapping.resample is None:
+        return assumption(f"columns_of_logs/{name}", "assumed")
+    words = {"linear": "linear between two samples of a log", "previous": "that of the sample before"}
+    values: dict[str, int | float | str] = {"resample": mapping.resample, "between": words[mapping.between]}
+    return assumption(f"columns_of_logs/{name}", "assumed", values, form="resampled_logs")

@@ -1,0 +1,85 @@
+"""How the logs of a rig or a vehicle become the columns of a system."""
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from ..base import Model
+from ..ranges import Magnitude
+
+
+class LogMapping(Model):
+    """What the columns of the system are in the logs of others; for all of them the same."""
+
+    columns: dict[str, str] = Field(
+        default_factory=dict,
+        max_length=1000,
+        description='of a column: the title in a table, or topic and field of messages, "/odom.twist.linear.x"; by '
+        "default its own name",
+    )
+    time: str | None = Field(
+        default=None,
+        min_length=1,
+        max_length=1000,
+        description='the title of the time in a table, by default `t`; of messages a field with the time, such as "'
+        'header.stamp", by default when they were logged',
+    )
+    factors: dict[str, float] = Field(
+        default_factory=dict,
+        max_length=1000,
+        description="of a column, or of `t`: what the numbers of the log are multiplied by to get its unit",
+    )
+    offset: Literal["first"] | Magnitude = Field(
+        default=0.0,
+        description='the time in the log at which a rollout begins, in s; "first": that of the first sample of all '
+        "columns. The column `offset` of the starts has one for each log",
+    )
+    resample: float | None = Field(
+        default=None,
+        gt=0,
+        le=1e6,
+        description="s between two samples of a rollout; required where columns have unlike times",
+    )
+    between: Literal["linear", "previous"] = Field(
+        default="linear", description="with `resample`: values between two samples of a log"
+    )
+    max_gap: float | None = Field(
+        default=None,
+        gt=0,
+        description="longest s between two samples of a log; by default ten times the median of that log",
+    )
+    limits: dict[str, tuple[Magnitude, Magnitude]] = Field(
+        default_factory=dict,
+        max_length=1000,
+        description="of a column: the values that it can have, [low, high]; a log with others, as of another unit, is "
+        "refused",
+    )
+    delimiter: str = Field(default=",", min_length=1, max_length=1, description="between two cells of a CSV file")
+    decimal: Literal[".", ","] = Field(default=".", description="decimal sign of a CSV file")
+    extra: Literal["refuse", "ignore"] = Field(
+        default="refuse", description="what happens to columns of a table that nothing above names"
+    )
+
+    @model_validator(mode="after")
+    def _readable(self) -> "LogMapping":
+        if self.delimiter == self.decimal:
+            raise ValueError(f'delimiter: {self.delimiter!r} is the decimal sign as well; give delimiter = ";"')
+        for name, factor in self.factors.items():
+            if not factor or abs(factor) > 1e100:
+                raise ValueError(f"factors.{name}: {factor:g} is not allowed; give a number other than 0")
+        for name, (low, high) in self.limits.items():
+            if not low < high:
+                raise ValueError(f"limits.{name}: {low:g} must be less than {high:g}")
+        return self
+
+    def title(self, column: str) -> str:
+        """Return where a log has a column."""
+        return self.columns.get(column, column)
+
+    def check_columns(self, columns: dict[str, str]) -> None:
+        """Refuse keys for columns that the system does not have; raises ValueError."""
+        for key in ("columns", "factors", "limits"):
+            known = [*columns, "t"] if key == "factors" else list(columns)
+            for name in getattr(self, key):
+                if name not in known:
+                    raise ValueError(f"logs.{key}.{name}: the system has the columns {', '.join(known)}")

@@ -1,0 +1,42 @@
+"""The logs of the tests of a campaign, each as the file of its rollout."""
+
+import json
+from pathlib import Path
+from typing import cast
+
+from ...schemas.base import canonical_json
+from ...schemas.errors import PerfboundError
+from ...schemas.instants import uncovered
+from ...schemas.rollout import RolloutRequest
+from ..handed_in import file_of
+from ..systems import load_system
+from ..systems.rig import DescribedRig
+from .read import LogReader
+
+MOST = 50
+"""Faults that are listed."""
+
+
+def write_tests(system: str, tests: Path, out: Path) -> list[str]:
+    """Write `K.mcap` for the test in line K of a file, from 0, and return a line for each log that is none.
+
+    A line has the `request`, the `log` and its `offset`.
+    """
+    rig = cast(DescribedRig, load_system(system))
+    reader = LogReader(rig.spec, rig.mapping, rig.step)
+    faults: list[str] = []
+    for number, line in enumerate(tests.read_text().splitlines()):
+        asked = json.loads(line)
+        request = RolloutRequest.model_validate_json(canonical_json(asked["request"]))
+        log = Path(asked["log"])
+        try:
+            trajectory = reader.trajectory(log, request.horizon, asked["offset"])
+            fits = rig.spec.after_end is not None  # held to the horizon
+            if not fits and (fault := uncovered(trajectory.samples[:, 0], request.horizon)):
+                raise PerfboundError(f"{log}: {fault}")
+            (out / f"{number}.mcap").write_bytes(file_of(trajectory, request, rig.spec))
+        except PerfboundError as error:
+            faults.append(str(error))
+            (out / f"{number}.fault").touch()
+    more = len(faults) - MOST
+    return [*faults[:MOST], *([f"and {more:,} further logs"] if more > 0 else [])]

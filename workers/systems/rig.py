@@ -1,0 +1,80 @@
+"""A rig or a vehicle that a campaign file describes: its rollouts are logs, and no worker makes one."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NoReturn
+
+from ...schemas.errors import DefinitionError, SimulationError
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.logs import LogMapping
+from ...schemas.system import AfterEnd, Parameter, SystemSpec, timed_columns
+from ...schemas.values import Stamps
+from .described import DescribedSystem, space_parameters
+
+MAX_HORIZON = 1e6
+"""Seconds: a test of eleven days."""
+
+
+def rig_spec(
+    name: str,
+    parameters: tuple[Parameter, ...],
+    columns: Mapping[str, str],
+    *,
+    noisy: bool = True,
+    max_horizon: float = MAX_HORIZON,
+    doc: str = "measured, not simulated",
+    stamps: Stamps = "exact",
+    after_end: AfterEnd | None = None,
+) -> SystemSpec:
+    """Return the specification of a rig; raises DefinitionError where a name is none."""
+    return SystemSpec(
+        name=name,
+        doc=doc,
+        parameters=parameters,
+        columns=timed_columns(columns, after_end),
+        variants=("nominal",),
+        noisy=("nominal",) if noisy else (),
+        max_horizon=max_horizon,
+        repeated="nowhere",
+        stamps=stamps,
+        after_end=after_end,
+    )
+
+
+class DescribedRig(DescribedSystem):
+    """The rig of a campaign file, and how its logs become columns."""
+
+    def __init__(self, spec: SystemSpec, mapping: LogMapping, step: float | None) -> None:
+        super().__init__(spec)
+        self.mapping, self.step = mapping, step
+
+    def rollout(self, x: Any, **arguments: Any) -> NoReturn:  # noqa: ARG002  (of every system)
+        """Raise SimulationError: nothing here drives it."""
+        raise SimulationError(
+            f"{self.spec.name} is a rig: hand its logs in, `perfbound import LOGS --starts starts.csv --campaign FILE`"
+        )
+
+
+def load_rig(path: Path, config: CampaignConfig) -> DescribedRig:
+    """Return the rig of the campaign file `path`.
+
+    Raises:
+        DefinitionError: the file does not describe one.
+
+    """
+    choice = config.system
+    assert choice.rig is not None
+    if choice.options:
+        raise DefinitionError(f"{path}: system.{next(iter(choice.options))}: a rig has no options; remove this key")
+    try:
+        spec = rig_spec(
+            choice.rig,
+            tuple(space_parameters(config, str(path))),
+            choice.columns or {},
+            noisy=choice.noisy is not False,
+            stamps=choice.stamps or "exact",
+            after_end=choice.after_end,
+        )
+    except DefinitionError as error:
+        raise DefinitionError(f"{path}: system: {error}") from None
+    return DescribedRig(spec, choice.logs or LogMapping(), choice.step)
