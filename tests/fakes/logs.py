@@ -2,14 +2,13 @@
 
 import csv
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+Floats = NDArray[Any]
 EPOCH = 1_700_000_000_000_000_000
 """Nanoseconds at the begin of a log of messages."""
 RADAR, ODOMETER = "/radar", "/odom"
@@ -46,19 +45,17 @@ def stamps(times: Floats) -> list[int]:
     return [EPOCH + round(float(t) * 1e9) for t in times]
 
 
-def write_json_mcap(
-    path: Path, times: Floats, distance: Floats, speed: Floats, at: Callable[[int], int] = lambda stamp: stamp
-) -> Path:
+def write_json_mcap(path: Path, times: Floats, distance: Floats, speed: Floats) -> Path:
     from mcap.writer import Writer
 
     with path.open("wb") as file:
-        writer = Writer(file)
+        writer: Any = Writer(file)
         writer.start()
         schema = writer.register_schema("any", "jsonschema", b"{}")
         radar, odometer = (writer.register_channel(topic, "json", schema) for topic in (RADAR, ODOMETER))
         for stamp, d, v in zip(stamps(times), distance, speed, strict=True):
             for channel, message in ((radar, {"range": d}), (odometer, {"linear": {"x": v}, "name": "car"})):
-                writer.add_message(channel, at(stamp), json.dumps(message).encode(), at(stamp))
+                writer.add_message(channel, stamp, json.dumps(message).encode(), stamp)
         writer.finish()
     return path
 
@@ -81,13 +78,14 @@ def write_protobuf_mcap(path: Path, times: Floats, distance: Floats, speed: Floa
             else:
                 outer.field.add(name=field, number=number, type=11, label=1, type_name=f".car.{kind}")
         pool = DescriptorPool()
-        pool.Add(proto)  # type: ignore[no-untyped-call]
-        kind_of: Any = GetMessageClass(pool.FindMessageTypeByName(f"car.{name}"))  # type: ignore[no-untyped-call]
+        pool.Add(proto)
+        kind_of: Any = GetMessageClass(pool.FindMessageTypeByName(f"car.{name}"))
         return FileDescriptorSet(file=[proto]).SerializeToString(), kind_of
 
     with path.open("wb") as file:
-        writer = Writer(file)
+        writer: Any = Writer(file)
         writer.start()
+        kinds: dict[str, tuple[str, Mapping[str, str | None]]]
         kinds = {RADAR: ("Radar", {"range": None}), ODOMETER: ("Odom", {"linear": "Vector"})}
         channels = {}
         for topic, (name, fields) in kinds.items():
@@ -157,7 +155,7 @@ def write_ros_mcap(path: Path, times: Floats, distance: Floats, speed: Floats, *
 
     store = get_typestore(Stores.ROS1_NOETIC if form == "ros1" else Stores.ROS2_HUMBLE)
     with path.open("wb") as file:
-        writer = Writer(file)
+        writer: Any = Writer(file)
         writer.start("ros1" if form == "ros1" else "ros2")
         channels: dict[str, int] = {}
         for stamp, d, v in zip(stamps(times), distance, speed, strict=True):

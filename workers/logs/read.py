@@ -4,6 +4,7 @@ Nothing is repaired: a log whose times do not increase, that has a gap or a numb
 file and the time.
 """
 
+import struct
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -47,21 +48,22 @@ class LogReader:
             UnusableTrajectoryError: its numbers are not those of a rollout; the text has file and time.
 
         """
+        log, given = self._checked(path), self._mapping.offset if offset is None else offset
+        begin = log.begin if isinstance(given, str) else given - log.base
+        signals = {name: self._in_unit(path, name, signal, begin, horizon) for name, signal in log.signals.items()}
+        times, columns = self._on_one_grid(path, signals, horizon)
         try:
-            log = self._read(path)
-            begin = log.begin if self._begin(offset) == "first" else float(self._begin(offset)) - log.base
-            signals = {name: self._in_unit(path, name, signal, begin, horizon) for name, signal in log.signals.items()}
-            times, columns = self._on_one_grid(path, signals, horizon)
             return Trajectory(self._spec.own_columns, np.column_stack([times, *columns.values()]))
-        except (PerfboundError, *NOT_OF_SYSTEMS):
-            raise
         except ValueError as error:
             raise UnusableTrajectoryError(f"{path}: {error}") from None
+
+    def _checked(self, path: Path) -> "_Log":
+        try:
+            return self._read(path)
+        except (PerfboundError, *NOT_OF_SYSTEMS):
+            raise
         except BaseException as error:  # noqa: BLE001  (any: a reader at a file of anybody)
             raise EvidenceError(f"{path}: it cannot be read ({_reason(error)})") from None
-
-    def _begin(self, offset: float | None) -> float | str:
-        return self._mapping.offset if offset is None else offset
 
     def _read(self, path: Path) -> "_Log":
         if "\0" in str(path):
@@ -198,10 +200,9 @@ def _check_order(path: Path, name: str, times: Floats) -> None:
     back = np.diff(times) <= 0
     if back.any():
         k = int(np.argmax(back))
-        what = "twice" if times[k + 1] == times[k] else f"after {times[k]:.10g} s"
-        raise UnusableTrajectoryError(
-            f"{path}: {name} has a sample at {times[k + 1]:.10g} s {what}; times have to increase"
-        )
+        before, after = (f"{times[each]:.10g} s" for each in (k, k + 1))
+        what = "twice" if before == after else f"after {before}"
+        raise UnusableTrajectoryError(f"{path}: {name} has a sample at {after} {what}; times have to increase")
 
 
 def _check_finite(path: Path, name: str, times: Floats, values: Floats) -> None:
@@ -217,6 +218,6 @@ def _first(found: NDArray[np.bool_]) -> int:
 def _reason(error: BaseException) -> str:
     if isinstance(error, ModuleNotFoundError) and (extra := EXTRAS.get((error.name or "").partition(".")[0])):
         return f"{error.name} is missing: pip install 'perfbound[{extra}]'"
-    if isinstance(error, EOFError) or type(error).__name__ == "EndOfFile":
+    if isinstance(error, EOFError | struct.error) or type(error).__name__ == "EndOfFile":
         return "it is truncated"
     return fault_text(error)

@@ -14,6 +14,7 @@ from perfbound.workers.logs.read import LogReader
 from perfbound.workers.systems.rig import rig_spec
 from tests.fakes.logs import (
     OF_MESSAGES,
+    Floats,
     write_bag,
     write_csv,
     write_json_mcap,
@@ -23,12 +24,12 @@ from tests.fakes.logs import (
     write_ros_mcap,
 )
 
-TIMES = np.arange(41) * 0.05
+TIMES = np.asarray(np.arange(41) * 0.05, dtype=np.float64)
 # Numbers of single precision: the message of a range finder has no more.
-DISTANCE = np.float32(30.0 - 4.0 * TIMES + 0.1 * np.sin(TIMES)).astype(np.float64)
-SPEED = 20.0 - 6.0 * TIMES
+DISTANCE: Floats = np.asarray(30.0 - 4.0 * TIMES + 0.1 * np.sin(TIMES), dtype=np.float32).astype(np.float64)
+SPEED: Floats = 20.0 - 6.0 * TIMES
 SPEC = rig_spec("test-car", (Parameter(name="gap", low=5, high=50),), {"distance": "m", "speed": "m/s"})
-TABLE = {"t": TIMES, "distance": DISTANCE, "speed": SPEED}
+TABLE: dict[str, Floats] = {"t": TIMES, "distance": DISTANCE, "speed": SPEED}
 MESSAGES = {"columns": OF_MESSAGES, "offset": "first"}
 
 FORMS: dict[str, tuple[Callable[[Path], Path], dict[str, Any]]] = {
