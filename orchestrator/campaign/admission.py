@@ -8,8 +8,9 @@ from typing import Literal, TypeVar
 import numpy as np
 
 from ...schemas.base import canonical_json
-from ...schemas.batch import BatchRequest
+from ...schemas.batch import BatchRequest, alone
 from ...schemas.errors import EvidenceError, PerfboundError, RequestError, TrajectoryError, UnusableTrajectoryError
+from ...schemas.file.logs import driven_column
 from ...schemas.ids import RolloutId
 from ...schemas.instants import uncovered
 from ...schemas.result.facts import RolloutFact
@@ -26,6 +27,8 @@ from .series import ROUND_OFF
 from .state import plan_of
 
 T = TypeVar("T")
+ROUNDING = 1e-9
+"""A distance may exceed its tolerance by so large a share of it: both are differences of decimal numbers."""
 
 
 def admit(request: RolloutRequest, columns: tuple[str, ...], payload: bytes, sha256: str) -> Trajectory:
@@ -126,6 +129,7 @@ class Admission:
     def __init__(self, ledger: Ledger) -> None:
         self._ledger = ledger
         self.columns = tuple(column.name for column in ledger.header.spec.columns)
+        self._tolerance = ledger.config.system.tolerance or {}
 
     def check(self, rollout: RolloutId, trajectory: Trajectory) -> Compared:
         """Refuse a trajectory from which the objective cannot be computed; see `admit`.
@@ -134,6 +138,8 @@ class Admission:
         """
         if self._ledger.restores(rollout):
             return "same"  # its digest decides: it was recorded, and perhaps observed
+        if self._tolerance:
+            self._check_driven(rollout, trajectory)
         compared: Compared = "alone"
 
         def others(key: tuple[str, int]) -> list[Trajectory]:
@@ -147,6 +153,19 @@ class Admission:
         if fault is not None:
             raise UnusableTrajectoryError(f"the objective cannot be computed: {fault}")
         return compared
+
+    def _check_driven(self, rollout: RolloutId, trajectory: Trajectory) -> None:
+        """Refuse a rollout that was driven from another start than was asked for."""
+        names = [each.name for each in self._ledger.header.spec.parameters]
+        asked = dict(zip(names, alone(self._ledger.request(rollout)).x, strict=True))
+        for name, tolerance in self._tolerance.items():
+            driven = trajectory.column(driven_column(name))
+            away = float(np.abs(driven - asked[name]).max())
+            if away > tolerance * (1.0 + ROUNDING):
+                raise UnusableTrajectoryError(
+                    f"{name} = {driven[0]:.9g} was driven, {away:.3g} from the {asked[name]:.9g} that was asked for; "
+                    f"the tolerance is {tolerance:g}: drive it again, or begin a campaign with a larger tolerance"
+                )
 
     def score(self, rollout: RolloutId, request: BatchRequest, batch: Batch) -> tuple[Scored, Compared]:
         """Return a batch with its scores; a rollout from which the objective cannot be computed has failed.

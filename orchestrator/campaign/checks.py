@@ -4,22 +4,26 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
+
 from ...schemas.amounts import amount
 from ...schemas.batch import MOST_NUMBERS, largest_batch
 from ...schemas.errors import CampaignError, check_all
 from ...schemas.file.against_system import check_against
 from ...schemas.file.config import CampaignConfig
 from ...schemas.file.keys import CampaignKeys
+from ...schemas.file.logs import driven_column
 from ...schemas.file.method_spaces import candidates, draws_starts
 from ...schemas.file.objectives import rolled_out
 from ...schemas.file.parameters import parameter_ranges
 from ...schemas.file.parts import parts_of
-from ...schemas.file.problem_models import KrigingProblem, PaperProblem, Problem
+from ...schemas.file.problem_models import KrigingProblem, PaperProblem, Problem, RigorousProblem
 from ...schemas.file.space import space_kind
 from ...schemas.ranges import MAX_FILE_BYTES
 from ...schemas.system import SystemSpec
 from ..mathematics.bounds.cost import BLOCKS, LARGEST_MEMORY, LARGEST_PLAN, MethodSize, most
 from ..mathematics.bounds.kriging.design import points_per_parameter
+from ..mathematics.gp.kernels import Matern
 from ..mathematics.stl.horizon import check_horizon
 from ..mathematics.stl.parser import FormulaError, columns, parse_formula
 from .objectives import LARGEST
@@ -40,6 +44,7 @@ def check(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
         partial(check_against, config, spec, source),
         partial(_check_specification, config, spec, source),
         partial(_check_keep, config, spec, source),
+        partial(_check_tolerance, config, spec, source),
     ]
     if isinstance(config.space, dict) and space_kind(config.space) == "distributions":
         checks.append(partial(check_distributions, config.space, source))
@@ -246,3 +251,52 @@ def _two_digits_down(number: int) -> int:
     """
     step: int = 10 ** max(0, len(str(number)) - 2)
     return number // step * step
+
+
+def _check_tolerance(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
+    """Refuse a tolerance of a start that a bound does not count.
+
+    Formula: |J(x') - J(x)| <= B ||k(x', .) - k(x, .)|| = B sqrt(2 - 2 k(x', x)) for J - m0 of norm B, so that what is
+    observed at x' within the tolerance of x is that at x but for this number, which `misspecification` takes.
+
+    Raises:
+        CampaignError: one line with the source, the key and the remedy.
+
+    """
+    tolerance = config.system.tolerance
+    if tolerance is None:
+        return
+    names, columns = [each.name for each in spec.parameters], {each.name for each in spec.columns}
+    for name in tolerance:
+        if name not in names or driven_column(name) not in columns:
+            raise CampaignError(
+                f"{source}: system.tolerance.{name}: the rig has the parameters {', '.join(names)}; name one of them"
+            )
+    for part in parts_of(config) or (config,):
+        for problem in part.problems:
+            if isinstance(problem, KrigingProblem | PaperProblem):
+                raise CampaignError(
+                    f"{source}: method: {problem.method!r} takes each rollout as one of the start that was asked for; "
+                    "with a tolerance choose 'rigorous' with `misspecification`, 'scenario' or 'sample'"
+                )
+            if not isinstance(problem, RigorousProblem):
+                continue
+            length = problem.kernel.length_scale
+            apart = [
+                tolerance.get(name, 0.0) / (length[name] if isinstance(length, dict) else length) for name in names
+            ]
+            correlation = float(Matern(problem.kernel.nu, 1.0)(np.array([np.linalg.norm(apart)]))[0])
+            beside = problem.rkhs_norm * float(np.sqrt(max(2.0 - 2.0 * correlation, 0.0)))
+            if problem.misspecification < beside:
+                needed = float(np.nextafter(beside, np.inf))
+                raise CampaignError(
+                    f"{source}: misspecification: between a start that was asked for and one within the tolerance, a "
+                    f"function of norm B may differ by {beside:.3g}; give misspecification = {_above(needed):g}, a "
+                    "smaller tolerance, or method 'sample'"
+                )
+
+
+def _above(value: float) -> float:
+    """Return a short number that is at least so large."""
+    digits = 10.0 ** (np.floor(np.log10(value)) - 2)
+    return float(f"{np.ceil(value / digits) * digits:.3g}") if value > 0 else 0.0

@@ -82,7 +82,9 @@ def reopened(directory: Path, options: RunOptions) -> Iterator[tuple[Journal, st
 
     """
     with campaign_lock(directory) as held:
-        reference = child.resolved(options.system or read.system_reference(directory))
+        reference = options.system or read.system_reference(directory)
+        if read.stored_header(directory).spec.repeated != "nowhere":
+            reference = child.resolved(reference)
         with closing(Journal.open(directory, options.origin(reference), held)) as journal:
             _check_software(journal.header)
             _check_code(journal.header, reference, options)

@@ -106,6 +106,8 @@ def system_reference(directory: Path) -> str:
         sessions = tables.sessions.c
         newest = sa.select(sessions.system).where(sessions.system.is_not(None)).order_by(sessions.session.desc())
         found = connection.execute(newest.limit(1)).scalar()
+        if found is None and header.spec.repeated == "nowhere":
+            return header.spec.name  # nothing is loaded of it
         return str(found or header.config.system.reference(directory / f"{header.config.name}.toml"))
 
 

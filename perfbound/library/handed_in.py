@@ -16,13 +16,20 @@ from ..schemas.real_numbers import real_number
 from ..schemas.rollout import RolloutRequest
 from ..schemas.system import SystemSpec
 from ..schemas.trajectory.trajectory import Trajectory
-from ..workers.handed_in import file_of
+from ..workers.handed_in import constants_of, file_of, whole
 from ..workers.logs.read import LogReader
 from ..workers.systems.function import as_samples
 
 
 def admitted(
-    request: RolloutRequest, spec: SystemSpec, data: object, step: float | None, mapping: LogMapping | None
+    request: RolloutRequest,
+    spec: SystemSpec,
+    data: object,
+    step: float | None,
+    mapping: LogMapping | None,
+    *,
+    start: Mapping[str, object] | None = None,
+    disturbances: Mapping[str, object] | None = None,
 ) -> Admitted:
     """Return what was told for a request; `step` is the time between two samples of data without `t`.
 
@@ -36,12 +43,15 @@ def admitted(
     columns = tuple(column.name for column in spec.columns)
     try:
         step = None if step is None else _seconds(step)
+        constants = constants_of(spec, request.x, start, disturbances)
         if isinstance(data, str | Path) and Path(data).suffix.lower() == ".mcap" and mapping is None:
             payload = evidence.contents(Path(data), MAX_FILE_BYTES)
         elif isinstance(data, str | Path):
-            payload = file_of(LogReader(spec, mapping, step).trajectory(Path(data), request.horizon), request, spec)
+            reader = LogReader(spec, mapping, step)
+            found = reader.trajectory(Path(data), request.horizon, constants=constants)
+            payload = file_of(found, request, spec)
         else:
-            payload = file_of(_trajectory(data, spec, step), request, spec)
+            payload = file_of(_trajectory(data, spec, step, constants), request, spec)
         sha256 = hashlib.sha256(payload).hexdigest()
         return Admitted(payload, sha256, admit(request, columns, payload, sha256))
     except UnusableTrajectoryError as fault:
@@ -63,8 +73,8 @@ def _seconds(step: object) -> float:
     return seconds
 
 
-def _trajectory(data: object, spec: SystemSpec, step: float | None) -> Trajectory:
-    """Return what was told as a trajectory.
+def _trajectory(data: object, spec: SystemSpec, step: float | None, constants: Mapping[str, float]) -> Trajectory:
+    """Return what was told as a trajectory; `constants` are columns that are one number of the whole rollout.
 
     Raises:
         UnusableTrajectoryError: its numbers are not finite, or its time does not increase.
@@ -72,16 +82,15 @@ def _trajectory(data: object, spec: SystemSpec, step: float | None) -> Trajector
         SimulationError: it has other columns, or they differ in length.
 
     """
+    columns = tuple(name for name in spec.own_columns if name not in constants)
     if isinstance(data, Trajectory):
-        return replace(data, visual=None)
-    columns = spec.own_columns
+        if not constants or data.columns != columns:
+            return replace(data, visual=None)
+        data = {name: data.column(name) for name in columns}
     if not isinstance(data, Mapping) and hasattr(data, "columns") and hasattr(data, "__getitem__"):
         data = _columns_of_frame(data)
     samples = as_samples(data, columns, step)
-    try:
-        return Trajectory(columns, samples)
-    except ValueError as fault:
-        raise UnusableTrajectoryError(str(fault)) from None
+    return whole({name: samples[:, k] for k, name in enumerate(columns)}, spec, constants)
 
 
 def _columns_of_frame(data: Any) -> dict[str, object]:

@@ -2,8 +2,10 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from ..schemas.errors import DefinitionError
+from ..schemas.file.disturbance import Disturbance
 from ..schemas.system import AfterEnd, Parameter, SystemSpec
 from ..schemas.values import Stamps
 from ..workers.systems.rig import rig_spec
@@ -15,7 +17,9 @@ class Rig:
 
     `parameters` has the range and the unit of each parameter of the starting condition, `columns` the unit of each
     column of a trajectory, beside the time `t` in s; with `step`, in seconds, the time of a sample follows from its
-    number. `noisy`: two trials from one start may differ. `stamps` and `after_end` are as those of `@perfbound.system`.
+    number. `noisy`: two trials from one start may differ. `tolerance` is how far, by parameter, the start that was
+    driven may be from the one that was asked for. `reported`, `stamps` and `after_end` are as those of
+    `@perfbound.system`.
 
     Raises:
         DefinitionError: a name is not one of a-z, 0-9 and _, or a range is none.
@@ -33,8 +37,19 @@ class Rig:
     step: float | None = None
     max_horizon: float = 3600.0
     doc: str = "measured, not simulated"
+    tolerance: Mapping[str, float] | None = None
+    reported: Mapping[str, Disturbance] | None = None
     stamps: Stamps = "exact"
     after_end: AfterEnd | None = None
+
+    @property
+    def choice(self) -> dict[str, Any]:
+        """Its keys of `[system]` in a campaign file."""
+        keys: dict[str, Any] = {"rig": self.name, "columns": dict(self.columns), "noisy": self.noisy}
+        keys |= {"step": self.step, "after_end": self.after_end, "tolerance": self.tolerance and dict(self.tolerance)}
+        laws = {key: law.model_dump(mode="json", exclude_defaults=True) for key, law in (self.reported or {}).items()}
+        keys |= {"stamps": None if self.stamps == "exact" else self.stamps, "reported": laws or None}
+        return {key: value for key, value in keys.items() if value is not None}
 
     def __post_init__(self) -> None:
         """Refuse a description that is none."""
@@ -51,6 +66,8 @@ class Rig:
                 noisy=self.noisy,
                 max_horizon=self.max_horizon,
                 doc=self.doc,
+                tolerance=self.tolerance or (),
+                reported=self.reported,
                 stamps=self.stamps,
                 after_end=self.after_end,
             )

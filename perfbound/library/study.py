@@ -97,8 +97,19 @@ class Study:
             first = next(iter(rollouts.wanted), None)
             return None if first is None else TrialRequest.of(rollouts.request(first), rollouts.spec)
 
-    def tell(self, request: TrialRequest | str, data: object, *, step: float | None = None) -> None:
+    def tell(
+        self,
+        request: TrialRequest | str,
+        data: object,
+        *,
+        start: Mapping[str, float] | None = None,
+        disturbances: Mapping[str, float] | None = None,
+        step: float | None = None,
+    ) -> None:
         """Hand in the trajectory of a request, or of its id.
+
+        `start` is the start that was driven, by parameter, where the rig has a tolerance: it is the record, in the
+        columns `driven_NAME`. `disturbances` are the values of those that the rig reports, where `data` lack them.
 
         `data` is what a function under `@perfbound.system` may return: a `Trajectory`, an array (T,) for each column,
         one array (T, n), a dict or a DataFrame of columns; or the path of a log: of CSV, Parquet, MAT, MCAP or a bag,
@@ -117,7 +128,7 @@ class Study:
         with self._locked() as rollouts:
             rollout = _known(rollouts, request)
             asked, apart = rollouts.request(rollout), self._step if step is None else step
-            told = admitted(asked, rollouts.spec, data, apart, rollouts.mapping)
+            told = admitted(asked, rollouts.spec, data, apart, rollouts.mapping, start=start, disturbances=disturbances)
             if rollout not in rollouts.wanted:
                 if not rollouts.same(rollout, told):
                     raise RequestError(f"{rollout}: another trajectory was told before, and a record never changes")

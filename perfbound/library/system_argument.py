@@ -25,7 +25,7 @@ class GivenSystem:
     spec: SystemSpec
     reference: str
     """The system as a worker finds it: its name, FILE.py:NAME, or the campaign file of a program."""
-    choice: dict[str, str]
+    choice: dict[str, Any]
     """Its keys of `[system]`; none for a program, which a campaign file describes."""
     step: float | None = None
     """Seconds between two samples, where the time of a sample follows from its number."""
@@ -50,7 +50,7 @@ def given_system(system: object, where: str) -> GivenSystem:
             "this call and what follows under `if __name__ == '__main__':`, or into another file"
         )
     if isinstance(system, Rig):
-        return _known_by_name(system.spec, system.step)
+        return GivenSystem(system.spec, system.spec.name, system.choice, system.step)
     if isinstance(system, str | Path):
         return _referenced(str(system), where)
     found: Any = system() if isinstance(system, type) and hasattr(system, "rollout") else system

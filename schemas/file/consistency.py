@@ -61,7 +61,6 @@ def _rules_of_keys(config: CampaignKeys) -> Iterator[Callable[[], None]]:
     yield partial(_check_clip_order, config)
     yield partial(_check_required, config)
     yield partial(check_signals, config.space, config.horizon)
-    yield partial(_check_rig, config)
     yield partial(check_recorded, config)
 
 
@@ -94,15 +93,6 @@ def _check_repeated(config: CampaignKeys) -> None:
     names = [problem.name for problem in config.problems]
     for repeated in {name for name in names if names.count(name) > 1}:
         raise ValueError(f"problems: {repeated!r} appears twice; list every problem at most once")
-
-
-def _check_rig(config: CampaignKeys) -> None:
-    """Refuse what compares rollouts with their repetition, where none is possible."""
-    if config.system.kind != "rig":
-        return
-    for key in ("recheck", "second_opinion"):
-        if getattr(config, key):
-            raise ValueError(f"{key}: nobody can repeat the rollouts of a rig; remove this key")
 
 
 def _check_keep(config: CampaignKeys) -> None:

@@ -8,6 +8,11 @@ from ..base import Model
 from ..ranges import Magnitude
 
 
+def driven_column(parameter: str) -> str:
+    """Return the column of the start that was driven, constant during a rollout."""
+    return f"driven_{parameter}"
+
+
 class LogMapping(Model):
     """What the columns of the system are in the logs of others; for all of them the same."""
 

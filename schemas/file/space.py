@@ -110,6 +110,13 @@ class SystemChoice(Model, extra="allow"):
         pattern=r"^[a-z][a-z0-9-]{0,63}$",
         description="a rig or a vehicle, by a name for it: its rollouts are logs, by `perfbound import` or one by one",
     )
+    tolerance: dict[str, Annotated[float, Field(ge=0)]] | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        min_length=1,
+        description="of a rig, by parameter: how far the start that was driven may be from the one that was asked for; "
+        "it is the column `driven_NAME`",
+    )
     logs: LogMapping | None = Field(
         default=None,
         exclude_if=lambda value: value is None,
@@ -336,7 +343,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "rig": Kind(
             "a rig",
             'rig = "NAME"',
-            ("columns", "step", "noisy", "stamps", "after_end", "logs"),
+            ("columns", "step", "noisy", "stamps", "after_end", "reported", "tolerance", "logs"),
             {"columns": 'its columns with their units, { distance = "m" }'},
             described=True,
         ),

@@ -5,7 +5,7 @@ file and the time.
 """
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,6 +17,7 @@ from ...schemas.file.logs import LogMapping
 from ...schemas.system import SystemSpec
 from ...schemas.trajectory.trajectory import Trajectory
 from ..faults import NOT_OF_SYSTEMS, fault_text
+from ..handed_in import whole
 from .messages import SECOND, Signal, is_of_messages, read_messages
 from .tables import READERS, TIME, read_table
 
@@ -40,42 +41,51 @@ class LogReader:
         own = set(spec.own_columns)
         self._units = {each.name: each.unit for each in spec.columns if each.name in own and each.name != TIME}
 
-    def trajectory(self, path: Path, horizon: float, offset: float | None = None) -> Trajectory:
+    def trajectory(
+        self,
+        path: Path,
+        horizon: float,
+        offset: float | None = None,
+        constants: Mapping[str, float] | None = None,
+    ) -> Trajectory:
         """Return the trajectory in a log; `offset` is the time in it at which the rollout begins, in s.
+
+        `constants` are columns that are one number, and not in the log.
 
         Raises:
             EvidenceError: it cannot be read, or has not these columns.
             UnusableTrajectoryError: its numbers are not those of a rollout; the text has file and time.
 
         """
-        log, given = self._checked(path), self._mapping.offset if offset is None else offset
+        constants = constants or {}
+        log, given = self._checked(path, constants), self._mapping.offset if offset is None else offset
         begin = log.begin if isinstance(given, str) else given - log.base
         signals = {name: self._in_unit(path, name, signal, begin, horizon) for name, signal in log.signals.items()}
         times, columns = self._on_one_grid(path, signals, horizon)
         try:
-            return Trajectory(self._spec.own_columns, np.column_stack([times, *columns.values()]))
-        except ValueError as error:
+            return whole({TIME: times, **columns}, self._spec, constants)
+        except UnusableTrajectoryError as error:
             raise UnusableTrajectoryError(f"{path}: {error}") from None
 
-    def _checked(self, path: Path) -> "_Log":
+    def _checked(self, path: Path, constants: Container[str]) -> "_Log":
         try:
-            return self._read(path)
+            return self._read(path, {name: unit for name, unit in self._units.items() if name not in constants})
         except (PerfboundError, *NOT_OF_SYSTEMS):
             raise
         except BaseException as error:  # noqa: BLE001  (any: a reader at a file of anybody)
             raise EvidenceError(f"{path}: it cannot be read ({_reason(error)})") from None
 
-    def _read(self, path: Path) -> "_Log":
+    def _read(self, path: Path, units: Mapping[str, str]) -> "_Log":
         if "\0" in str(path):
             raise EvidenceError(f"{str(path)!r}: no path of a file")
         if not path.exists():
             raise EvidenceError(f"{path}: No such file or directory")
         if is_of_messages(path):
-            stamp, signals = read_messages(path, self._mapping, tuple(self._units))
+            stamp, signals = read_messages(path, self._mapping, tuple(units))
             return _Log(stamp / SECOND, signals)
         if path.suffix.lower() not in READERS:
             raise EvidenceError(f"{path}: a log is a {', '.join(FORMS[:-1])} file or a {FORMS[-1]}")
-        columns = read_table(path, self._mapping, self._units)
+        columns = read_table(path, self._mapping, units)
         lengths = {name: len(each) for name, each in columns.items()}
         if not all(lengths.values()):
             raise EvidenceError(f"{path}: it has no sample; give at least one")
@@ -91,7 +101,7 @@ class LogReader:
                 )
             columns[TIME] = np.arange(count, dtype=np.float64) * (self._step or 0.0)
         times = columns[TIME] * self._mapping.factors.get(TIME, 1.0)
-        return _Log(0.0, {name: Signal(times, columns[name]) for name in self._units})
+        return _Log(0.0, {name: Signal(times, columns[name]) for name in units})
 
     def _in_unit(self, path: Path, name: str, signal: Signal, begin: float, horizon: float) -> Signal:
         """Return a signal in its unit with the time of the rollout, as far as the rollout needs it."""

@@ -8,7 +8,7 @@ from ...schemas.base import canonical_json
 from ...schemas.errors import PerfboundError
 from ...schemas.instants import uncovered
 from ...schemas.rollout import RolloutRequest
-from ..handed_in import file_of
+from ..handed_in import constants_of, file_of
 from ..systems import load_system
 from ..systems.rig import DescribedRig
 from .read import LogReader
@@ -30,7 +30,8 @@ def write_tests(system: str, tests: Path, out: Path) -> list[str]:
         request = RolloutRequest.model_validate_json(canonical_json(asked["request"]))
         log = Path(asked["log"])
         try:
-            trajectory = reader.trajectory(log, request.horizon, asked["offset"])
+            constants = constants_of(rig.spec, request.x)
+            trajectory = reader.trajectory(log, request.horizon, asked["offset"], constants)
             fits = rig.spec.after_end is not None  # held to the horizon
             if not fits and (fault := uncovered(trajectory.samples[:, 0], request.horizon)):
                 raise PerfboundError(f"{log}: {fault}")

@@ -1,12 +1,13 @@
 """A rig or a vehicle that a campaign file describes: its rollouts are logs, and no worker makes one."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NoReturn
 
 from ...schemas.errors import DefinitionError, SimulationError
 from ...schemas.file.config import CampaignConfig
-from ...schemas.file.logs import LogMapping
+from ...schemas.file.disturbance import Disturbance
+from ...schemas.file.logs import LogMapping, driven_column
 from ...schemas.system import AfterEnd, Parameter, SystemSpec, timed_columns
 from ...schemas.values import Stamps
 from .described import DescribedSystem, space_parameters
@@ -20,20 +21,36 @@ def rig_spec(
     parameters: tuple[Parameter, ...],
     columns: Mapping[str, str],
     *,
+    tolerance: Iterable[str] = (),
+    reported: Mapping[str, Disturbance] | None = None,
     noisy: bool = True,
     max_horizon: float = MAX_HORIZON,
     doc: str = "measured, not simulated",
     stamps: Stamps = "exact",
     after_end: AfterEnd | None = None,
 ) -> SystemSpec:
-    """Return the specification of a rig; raises DefinitionError where a name is none."""
+    """Return the specification of a rig; the start that was driven is a column for each parameter of `tolerance`.
+
+    Raises:
+        DefinitionError: a name is none.
+
+    """
+    units = {each.name: each.unit for each in parameters}
+    for each in tolerance:
+        if each not in units:
+            raise DefinitionError(f"tolerance.{each}: there is no such parameter, only {', '.join(units)}")
+    driven = {driven_column(each): units[each] for each in tolerance}
+    if clash := sorted(driven.keys() & columns.keys()):
+        raise DefinitionError(f"columns.{clash[0]}: tolerance adds this column; leave it out")
+    own = {key: law.named(key, law.unit or columns.get(key, "")) for key, law in (reported or {}).items()}
     return SystemSpec(
         name=name,
         doc=doc,
         parameters=parameters,
-        columns=timed_columns(columns, after_end),
+        columns=timed_columns({**columns, **driven}, after_end),
         variants=("nominal",),
         noisy=("nominal",) if noisy else (),
+        reported=tuple(own.values()),
         max_horizon=max_horizon,
         repeated="nowhere",
         stamps=stamps,
@@ -72,6 +89,8 @@ def load_rig(path: Path, config: CampaignConfig) -> DescribedRig:
             tuple(space_parameters(config, str(path))),
             choice.columns or {},
             noisy=choice.noisy is not False,
+            tolerance=choice.tolerance or (),
+            reported=choice.reported,
             stamps=choice.stamps or "exact",
             after_end=choice.after_end,
         )

@@ -27,7 +27,7 @@ from ...mathematics.bounds.kriging.method import KrigingMethod
 from ...mathematics.bounds.paper.formulas import mills_probability
 from ...mathematics.bounds.rigorous.method import RigorousMethod
 from ...mathematics.gp.lattice import Lattice
-from .logs import of_logs
+from .logs import of_rig
 from .sampled import kriging_assumptions, sampled_assumptions
 from .sentences import assumption, form_at_start
 
@@ -86,7 +86,7 @@ def assumptions(
     for name, account in accounts.items():
         found_here = _spot_checked(_of_problem(account, ledger.methods), name, checks.spot_check)
         regional = _of_regions([*found_here, *tested(account)], name, checks.regions)
-        found += of_logs(regional, name, ledger.header)
+        found += of_rig(regional, account.plan, ledger.header)
         found += _of_gap(account, accounts, ledger)
         # A campaign without specification has no robustness, and so no clip; a claim without noise needs none.
         if account.robustness and account.plan.clip != UNBOUNDED:

@@ -1,4 +1,4 @@
-"""The assumptions behind tests that were made before the campaign, and are known by their logs."""
+"""The assumptions behind tests of a rig: their starts, and the logs of those made before the campaign."""
 
 from collections.abc import Iterable, Iterator
 
@@ -9,9 +9,11 @@ from ....schemas.file.distributed import DISTRIBUTIONS
 from ....schemas.file.disturbance import Disturbance
 from ....schemas.file.logs import LogMapping
 from ....schemas.file.parameters import parameter_ranges
+from ....schemas.file.problem_models import RigorousProblem
 from ....schemas.file.space import Range
 from ....schemas.result.certificate import Assumption
 from ....schemas.result.facts import Header
+from ...campaign.plan import ProblemPlan
 from ...mathematics.bounds.checks.law import LawTest
 from .sentences import assumption
 
@@ -19,8 +21,23 @@ MOST_STEPS = 1000
 """Steps of a range that are compared one by one."""
 
 
-def of_logs(found: Iterable[Assumption], name: str, header: Header) -> Iterator[Assumption]:
-    """Yield the assumptions of a problem; where its tests are logs, those on drawn starts are on these."""
+def of_rig(found: Iterable[Assumption], plan: ProblemPlan, header: Header) -> Iterator[Assumption]:
+    """Yield the assumptions of a problem with those on starts that a rig drove.
+
+    Where its tests are logs, those on drawn starts are on these.
+    """
+    yield from _of_logs(found, plan.name, header)
+    if (tolerance := header.config.system.tolerance) is not None:
+        units = {each.name: each.unit for each in header.spec.parameters}
+        words = ", ".join(f"{name} within {value:g} {units[name]}".rstrip() for name, value in tolerance.items())
+        counted = isinstance(plan.problem, RigorousProblem)
+        form = "driven_and_counted" if counted else None
+        yield assumption(
+            f"driven_starts/{plan.key}", "derived" if counted else "assumed", {"tolerance": words}, form=form
+        )
+
+
+def _of_logs(found: Iterable[Assumption], name: str, header: Header) -> Iterator[Assumption]:
     tests = header.config.recorded
     for each in found:
         if not tests or each.id != f"drawn_starts/{name}":

@@ -260,6 +260,14 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "assumed": "the columns are those of the logs as the mapping of the file says, at every {resample} s of the "
         "rollout: a value between is {between}. What a log does not show between two samples is not judged.",
     },
+    "driven_starts": {
+        "assumed": "a rollout from a start that was driven near the one that was asked for ({tolerance}) counts as one "
+        "from there; the columns driven_NAME have what was driven.",
+    },
+    "driven_and_counted": {
+        "derived": "a rollout was driven from a start near the one that was asked for ({tolerance}); by how much the "
+        "objective can differ between the two is part of the misspecification that the bound counts.",
+    },
     "drawn_fixed": {
         "derived": "the {samples} starts follow from the seed and their numbers alone, and their number was fixed "
         "beforehand: none was proposed, dropped or repeated because of an outcome. {at_zero} values are exactly 0, "
@@ -548,6 +556,7 @@ STATEMENTS = {
     "deterministic_nominal": "the nominal simulator is deterministic",
     "discarded": "a discarded rollout was simulated again with the same seed",
     "drawn_starts": "starts were drawn at random, not chosen",
+    "driven_starts": "a start within the tolerance counts as the one that was asked for",
     "early_ends": "a rollout may end before the horizon, and counts as declared",
     "extended": "the extension of the budget does not weaken the bound",
     "finite_rollouts": "no rollout was left out",
