@@ -127,6 +127,21 @@ watched_system_option = click.option(
     help="On SIGTERM, finish the rollout under way within this time, or hand it back; then exit with 143. A second "
     "SIGTERM ends the worker at once.",
 )
+@click.option(
+    "--manual",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=None,
+    metavar="FOLDER",
+    help="A person drives the rig of --system: a page on this machine shows each request and takes its log, which is "
+    "kept in FOLDER.",
+)
+@click.option(
+    "--manual-port",
+    type=click.IntRange(0, 65_535),
+    default=8790,
+    show_default=True,
+    help="Port of that page; 0 for any that is free.",
+)
 @click.option("--as", "identity", default=None, hidden=True, help="Whole name of a local worker.")
 def serve(
     *,
@@ -138,6 +153,8 @@ def serve(
     tls_key: str | None,
     insecure: bool,
     identity: str | None,
+    manual: Path | None,
+    manual_port: int,
     **ends: Any,
 ) -> None:
     """Simulate rollouts for an orchestrator until stopped, or until one of the ends below."""
@@ -157,6 +174,7 @@ def serve(
         if tls and identity is None:  # local workers show the certificate of their orchestrator
             check_role(tls.certificate, "worker")
         own = common_name(tls.certificate) if tls else ""
+        _open_desk(manual, manual_port)
         name = name or (own if key_expressions.NAME.fullmatch(own) else "worker")
         from .serving import Life, LinkOptions, serve_campaigns  # noqa: PLC0415
 
@@ -166,6 +184,27 @@ def serve(
         fail(str(error))
     except KeyboardInterrupt:
         sys.exit(130)
+
+
+def _open_desk(folder: Path | None, port: int) -> None:
+    """Serve the page on which a person hands in the logs of a rig; a rig without one has no worker."""
+    from .systems import add, rigs  # noqa: PLC0415
+
+    found = rigs()
+    if folder is None:
+        if found:
+            fail(f"{found[0].spec.name} is a rig: a person drives it; give --manual FOLDER, which gets its logs")
+        return
+    if len(found) != 1:
+        fail("--manual: give the campaign file of one rig, --system CAMPAIGN.toml with [system] rig")
+    from .manual.desk import Desk  # noqa: PLC0415
+    from .manual.page import DeskPage  # noqa: PLC0415
+
+    desk = Desk(found[0], folder)
+    page = DeskPage(desk, port)
+    add(desk)
+    page.start()
+    click.echo(f"tests by hand: {page.address}", err=True)
 
 
 def end_programs() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from ...schemas.base import canonical_json
 from ...schemas.batch import BatchRequest, alone
 from ...schemas.errors import EvidenceError, PerfboundError, RequestError, TrajectoryError, UnusableTrajectoryError
-from ...schemas.file.logs import driven_column
+from ...schemas.file.logs import driven_column, driven_fault
 from ...schemas.ids import RolloutId
 from ...schemas.instants import uncovered
 from ...schemas.result.facts import RolloutFact
@@ -27,8 +27,6 @@ from .series import ROUND_OFF
 from .state import plan_of
 
 T = TypeVar("T")
-ROUNDING = 1e-9
-"""A distance may exceed its tolerance by so large a share of it: both are differences of decimal numbers."""
 
 
 def admit(request: RolloutRequest, columns: tuple[str, ...], payload: bytes, sha256: str) -> Trajectory:
@@ -158,14 +156,10 @@ class Admission:
         """Refuse a rollout that was driven from another start than was asked for."""
         names = [each.name for each in self._ledger.header.spec.parameters]
         asked = dict(zip(names, alone(self._ledger.request(rollout)).x, strict=True))
-        for name, tolerance in self._tolerance.items():
-            driven = trajectory.column(driven_column(name))
-            away = float(np.abs(driven - asked[name]).max())
-            if away > tolerance * (1.0 + ROUNDING):
-                raise UnusableTrajectoryError(
-                    f"{name} = {driven[0]:.9g} was driven, {away:.3g} from the {asked[name]:.9g} that was asked for; "
-                    f"the tolerance is {tolerance:g}: drive it again, or begin a campaign with a larger tolerance"
-                )
+        # The first sample of each: the column is one number of the rollout.
+        driven = {name: float(trajectory.column(driven_column(name))[0]) for name in self._tolerance}
+        if (fault := driven_fault(asked, driven, self._tolerance)) is not None:
+            raise UnusableTrajectoryError(fault)
 
     def score(self, rollout: RolloutId, request: BatchRequest, batch: Batch) -> tuple[Scored, Compared]:
         """Return a batch with its scores; a rollout from which the objective cannot be computed has failed.

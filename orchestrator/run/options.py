@@ -91,12 +91,13 @@ def reopened(directory: Path, options: RunOptions) -> Iterator[tuple[Journal, st
             yield journal, reference
 
 
-def check_workers(spec: SystemSpec, own: OwnSystem | None, place: Path) -> None:
-    """Refuse a system that no worker can have."""
-    if spec.repeated == "nowhere":
+def check_workers(spec: SystemSpec, own: OwnSystem | None, place: Path, workers: int) -> None:
+    """Refuse a system that no worker can have; of a rig those of persons alone."""
+    if spec.repeated == "nowhere" and workers:
         raise CampaignError(
-            f"{place}: no simulator makes the rollouts of {spec.name}; hand them in: `perfbound import` takes logs "
-            f"that exist; Campaign.ask_tell, or perfbound.open({str(place)!r}).ask_tell() for a campaign that has begun"
+            f"{place}: no simulator makes the rollouts of {spec.name}: `perfbound import` takes logs that exist, and "
+            f"`perfbound orchestrate` with `perfbound-worker --manual` one after the other; in Python "
+            f"Campaign.ask_tell, or perfbound.open({str(place)!r}).ask_tell() for a campaign that has begun"
         )
     if spec.repeated == "session" and own is None:
         raise CampaignError(

@@ -66,6 +66,7 @@ def start_campaign(
     where = f"{source}: {config.system.place}"
     spec = options.own.spec if options.own else child.system_spec(reference, where)
     check_new(config, spec, str(source))
+    check_workers(spec, options.own, source, options.workers)
     # After the file: a copied one with a typo is at fault itself, and not the directory of its name.
     check_vacant(directory, config)
     header, link = Header.new(config, spec, software(spec)), options.link
@@ -108,7 +109,7 @@ def resume_campaign(directory: Path, options: RunOptions, console: Console, max_
         live_page(link.web, directory, console, insecure=link.insecure) as page,
         reopened(directory, options) as (journal, reference),
     ):
-        check_workers(journal.header.spec, options.own, directory)
+        check_workers(journal.header.spec, options.own, directory, options.workers)
         if options.own is not None:
             check_own(journal.header, options.own.spec)
         page.announce()
@@ -204,6 +205,7 @@ def _served(
         else:
             line = [part for way in link.ways(transport.endpoint) for part in ("--connect", way)]
             line = ["perfbound-worker", *line, *link.options_elsewhere(), *child.system_options(options.system)]
+            line += ["--manual", "logs"] if journal.header.spec.repeated == "nowhere" else []
             console.print(Text(f"waiting for workers: {shlex.join(line)}"), soft_wrap=True)
         # The numerics take seconds to load: only now, while the workers start.
         from ..campaign.ledger import Ledger  # noqa: PLC0415

@@ -267,7 +267,7 @@ def run_campaign(
 ) -> Run:
     """Run a new campaign; see `Campaign.run`."""
     own = Forked(system.here, system.spec) if system.here is not None else None
-    check_workers(system.spec, own, directory)
+    check_workers(system.spec, own, directory, workers)
     if (directory / DATABASE).exists():
         # A system whose code has changed is another one: its old result must not be read as that of the new code.
         changed = differences(Run(directory).header.spec, system.spec)

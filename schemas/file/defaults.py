@@ -39,6 +39,8 @@ STAND_INS: dict[str, Any] = {
 # Length scales alone: B, R and alpha are assumptions or wishes of a person, and no box says anything of them.
 DERIVED: Mapping[Any, type] = {"rigorous": RigorousProblem, "kriging": KrigingProblem}
 """Methods whose length scales follow from the box where the file gives none."""
+OF_RIG = 30 * 86_400.0
+"""Seconds in which a test of a rig is made, where the file does not say."""
 WITHIN = re.compile(r"within ([0-9]+(?:\.[0-9]+)?) sd")
 """Short form of the range of a bounded disturbance."""
 ENDS: dict[str, Any] = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
@@ -79,7 +81,7 @@ def completed(table: Mapping[str, Any], stem: str = "") -> dict[str, Any]:
     # Before validation, so that database and certificate have every key, and no reader asks whether one is there.
     found = {"name": name, **table} if name else dict(table)
     if isinstance(system := found.get("system"), Mapping) and "rig" in system:
-        found.setdefault("recheck", 0)  # nobody repeats its rollouts
+        found = {"recheck": 0, "deadline": OF_RIG, **found}  # nobody repeats its rollouts, and a person drives them
     if isinstance(tests := found.get("recorded"), list | tuple):
         found.setdefault("max_tests", len(tests))
     if isinstance(space := found.get("space"), Mapping):

@@ -1,5 +1,6 @@
 """How the logs of a rig or a vehicle become the columns of a system."""
 
+from collections.abc import Mapping
 from typing import Literal
 
 from pydantic import Field, model_validator
@@ -7,10 +8,29 @@ from pydantic import Field, model_validator
 from ..base import Model
 from ..ranges import Magnitude
 
+ROUNDING = 1e-9
+"""A distance may exceed its tolerance by so large a share of it: both are differences of decimal numbers."""
+
 
 def driven_column(parameter: str) -> str:
     """Return the column of the start that was driven, constant during a rollout."""
     return f"driven_{parameter}"
+
+
+def driven_fault(asked: Mapping[str, float], driven: Mapping[str, float], tolerance: Mapping[str, float]) -> str | None:
+    """Return why a start that was driven does not count for the one that was asked for; None where it does.
+
+    >>> driven_fault({"speed": 20.0}, {"speed": 20.5}, {"speed": 0.2})
+    'speed = 20.5 was driven, 0.5 from the 20 that was asked for, and the tolerance is 0.2; drive it again'
+    """
+    for name, most in tolerance.items():
+        away = abs(driven[name] - asked[name])
+        if not away <= most * (1.0 + ROUNDING):  # in this way also for a NaN
+            return (
+                f"{name} = {driven[name]:.9g} was driven, {away:.3g} from the {asked[name]:.9g} that was asked for, "
+                f"and the tolerance is {most:g}; drive it again"
+            )
+    return None
 
 
 class LogMapping(Model):

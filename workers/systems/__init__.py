@@ -13,6 +13,7 @@ from .base import SystemUnderTest
 from .declared import DeclaredFiles, WithSpec, declared_files
 from .fingerprint import code_of_files, files_of_module, versions_of
 from .pair import TwoSimulators
+from .rig import DescribedRig
 
 GROUP = "perfbound.systems"
 
@@ -42,6 +43,11 @@ def add_file(reference: str) -> str:
 def add(system: SystemUnderTest) -> None:
     """Add a system that only this process has, in place of one of its name."""
     _FROM_FILES[system.spec.name] = system
+
+
+def rigs() -> list[DescribedRig]:
+    """Return the rigs among the systems in files: nothing here makes their rollouts."""
+    return [each for each in _FROM_FILES.values() if isinstance(each, DescribedRig)]
 
 
 def available() -> tuple[str, ...]:

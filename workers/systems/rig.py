@@ -8,6 +8,7 @@ from ...schemas.errors import DefinitionError, SimulationError
 from ...schemas.file.config import CampaignConfig
 from ...schemas.file.disturbance import Disturbance
 from ...schemas.file.logs import LogMapping, driven_column
+from ...schemas.file.space import SystemChoice
 from ...schemas.system import AfterEnd, Parameter, SystemSpec, timed_columns
 from ...schemas.values import Stamps
 from .described import DescribedSystem, space_parameters
@@ -61,9 +62,9 @@ def rig_spec(
 class DescribedRig(DescribedSystem):
     """The rig of a campaign file, and how its logs become columns."""
 
-    def __init__(self, spec: SystemSpec, mapping: LogMapping, step: float | None) -> None:
+    def __init__(self, spec: SystemSpec, choice: SystemChoice) -> None:
         super().__init__(spec)
-        self.mapping, self.step = mapping, step
+        self.mapping, self.step, self.tolerance = choice.logs or LogMapping(), choice.step, choice.tolerance or {}
 
     def rollout(self, x: Any, **arguments: Any) -> NoReturn:  # noqa: ARG002  (of every system)
         """Raise SimulationError: nothing here drives it."""
@@ -96,4 +97,4 @@ def load_rig(path: Path, config: CampaignConfig) -> DescribedRig:
         )
     except DefinitionError as error:
         raise DefinitionError(f"{path}: system: {error}") from None
-    return DescribedRig(spec, choice.logs or LogMapping(), choice.step)
+    return DescribedRig(spec, choice)
