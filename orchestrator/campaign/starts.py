@@ -104,8 +104,10 @@ class Draws:
 
 def drawn_starts(header: Header, design: str) -> Callable[[int], Start]:
     """Return start 0, 1, 2, ... of the tests of a problem: drawn here, or those from which logs were made."""
-    tests = header.config.recorded
-    return (lambda number: tests[number].start) if tests else Draws(header, design).start
+    tests, names = header.config.recorded, [each.name for each in header.spec.parameters]
+    if not tests:
+        return Draws(header, design).start
+    return lambda number: tuple(tests[number].start[name] for name in names)
 
 
 def _transform(header: Header) -> tuple[int, Callable[[Floats], list[Start]]]:

@@ -14,8 +14,8 @@ from typing import NamedTuple
 from ...schemas.base import canonical_json
 from ...schemas.errors import CampaignError, EvidenceError, PerfboundError
 from ...schemas.file.config import CampaignConfig
+from ...schemas.file.logs import MAX_LOGS
 from ...schemas.file.reader import MAX_STARTS_FILE, load_campaign, load_description
-from ...schemas.file.recorded import MAX_LOGS
 from ...schemas.ids import RolloutId
 from ...schemas.number_text import number_in
 from ...schemas.outside import read_outside
@@ -27,6 +27,7 @@ from ..campaign.admission import admit
 from ..campaign.checks import check_new
 from ..campaign.seeds import rollout_seed
 from ..campaign.software import software
+from ..campaign.starts import drawn_starts
 from ..fleet.children import child
 from ..store import files as evidence
 from .directory import check_vacant
@@ -46,7 +47,7 @@ class Start(NamedTuple):
     """A row of the starts."""
 
     log: str
-    start: tuple[float, ...]
+    start: dict[str, float]
     offset: float | None
 
 
@@ -140,7 +141,7 @@ def _start(row: Sequence[str], places: dict[str, int], names: Sequence[str], wid
     log = row[places[LOG]].strip()
     if not log or log.startswith("/") or ".." in Path(log).parts:
         raise ValueError(f"log: {log!r} is no file below the folder of the logs")
-    return Start(log, tuple(numbers[name] for name in names), numbers.get(OFFSET))
+    return Start(log, {name: numbers[name] for name in names}, numbers.get(OFFSET))
 
 
 def _recorded(rows: Sequence[Start], folder: Path, starts: Path, report: Report) -> Iterator[dict[str, object]]:
@@ -173,7 +174,7 @@ def _recorded(rows: Sequence[Start], folder: Path, starts: Path, report: Report)
             )
         seen[key] = row.log
         offset = {} if row.offset is None else {"offset": row.offset}
-        yield {"log": row.log, "sha256": digests[row.log], "start": list(row.start), **offset}
+        yield {"log": row.log, "sha256": digests[row.log], "start": row.start, **offset}
     if faults:
         raise PerfboundError(*_first(faults, "logs"))
 
@@ -207,9 +208,9 @@ def _requests(config: CampaignConfig, spec: SystemSpec) -> list[RolloutRequest]:
     header = Header.new(config, spec, software(spec))
     problem, variant = config.problems[0].name, header.spec.variants[0]
     rollouts = [RolloutId(problem, number, variant, 0) for number in range(len(config.recorded))]
+    start = drawn_starts(header, problem)
     return [
-        header.template.request(rollout, test.start, rollout_seed(header, rollout))
-        for rollout, test in zip(rollouts, config.recorded, strict=True)
+        header.template.request(rollout, start(rollout.test), rollout_seed(header, rollout)) for rollout in rollouts
     ]
 
 

@@ -4,8 +4,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from pydantic import ValidationError
+
 from ..schemas.errors import DefinitionError
 from ..schemas.file.disturbance import Disturbance
+from ..schemas.file.space import SystemChoice
 from ..schemas.system import AfterEnd, Parameter, SystemSpec
 from ..schemas.values import Stamps
 from ..workers.systems.rig import rig_spec
@@ -59,17 +62,11 @@ class Rig:
     def spec(self) -> SystemSpec:
         """The specification of the rig."""
         try:
-            return rig_spec(
-                self.name,
-                tuple(each.model_copy(update={"name": key}) for key, each in self.parameters.items()),
-                self.columns,
-                noisy=self.noisy,
-                max_horizon=self.max_horizon,
-                doc=self.doc,
-                tolerance=self.tolerance or (),
-                reported=self.reported,
-                stamps=self.stamps,
-                after_end=self.after_end,
-            )
+            parameters = (each.model_copy(update={"name": key}) for key, each in self.parameters.items())
+            return rig_spec(SystemChoice(**self.choice), tuple(parameters), self.max_horizon, self.doc)
+        except ValidationError as error:
+            fault = error.errors(include_url=False)[0]
+            place = ".".join(map(str, fault["loc"]))
+            raise DefinitionError(f"rig {self.name!r}: {place}: {fault['msg']}") from None
         except DefinitionError as error:
             raise DefinitionError(f"rig {self.name!r}: {error}") from None

@@ -1,11 +1,12 @@
 """Which keys of a campaign go together: every rule that two of them or more have to keep."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 
 from .composition import PAIR, ComposedClaim, Rule, composed_claims
 from .drawn_claims import SAMPLED, UP_TO_CHANCE, ClaimRequest, DrawnClaim, drawn_claims, fewest_samples
 from .keys import CampaignKeys
+from .logs import RecordedTest
 from .method_spaces import (
     LATTICE_PARAMETERS,
     check_lattice,
@@ -19,8 +20,7 @@ from .objectives import CLAIMS, OBJECTIVES, OF_ROBUSTNESS, ProblemName, Sense, a
 from .parameters import check_signals, parameter_ranges
 from .parts import parts_of
 from .problem_models import KrigingProblem, Problem, RigorousProblem, SampleProblem
-from .recorded import check_recorded
-from .space import space_kind
+from .space import Range, Scenarios, space_kind
 
 ORDERED = {"quantile", "next_rollout"}
 """Quantities that are bounded by one of the values, so that few samples have no bound at all."""
@@ -61,7 +61,7 @@ def _rules_of_keys(config: CampaignKeys) -> Iterator[Callable[[], None]]:
     yield partial(_check_clip_order, config)
     yield partial(_check_required, config)
     yield partial(check_signals, config.space, config.horizon)
-    yield partial(check_recorded, config)
+    yield partial(_check_recorded, config)
 
 
 def _rules_of_problems(config: CampaignKeys) -> Iterator[Callable[[], None]]:
@@ -428,3 +428,51 @@ def _with_a_lattice(config: CampaignKeys, problem: Problem) -> str:
     if parameters > LATTICE_PARAMETERS and config.resolution_of(problem) > fitting:
         ways.append(f"with {parameters} parameters give resolution = {fitting} or less")
     return ", and ".join(ways)
+
+
+def _check_recorded(config: CampaignKeys) -> None:
+    """Refuse imported tests where something else than the logs would have to decide which tests there are.
+
+    Raises:
+        ValueError: the key, and what it cannot be.
+
+    """
+    tests = config.recorded
+    if not tests:
+        return
+    if config.system.kind != "rig":
+        raise ValueError('recorded: logs are imported for a rig alone; give [system] rig = "NAME"')
+    for problem in config.problems:
+        if problem.method != "sample":
+            raise ValueError(
+                f"method: {problem.method!r} chooses its starts, and logs have theirs; "
+                'give method = "sample", or ask for the tests by ask_tell'
+            )
+        size = config.max_tests_of(problem)
+        if size != len(tests):
+            raise ValueError(
+                f"max_tests: {size:,} is not allowed: there are {len(tests):,} logs, and to leave some out would be a "
+                "choice; remove this key"
+            )
+    for key in ("falsify", "until_counterexample"):
+        if getattr(config, key):
+            raise ValueError(f"{key}: all logs are there before the first one is read; remove this key")
+    if config.replicates != 1:
+        raise ValueError("replicates: a log is one rollout; remove this key")
+    if isinstance(config.space, dict):
+        for number, each in enumerate(tests, start=1):
+            _check_start(each, number, parameter_ranges(config.space))
+    elif isinstance(config.space, Scenarios):
+        raise ValueError("space.scenarios: the starts of logs follow a law; give ranges, or a table of starts")
+
+
+def _check_start(test: RecordedTest, number: int, ranges: Mapping[str, Range]) -> None:
+    if test.start.keys() != ranges.keys():
+        raise ValueError(f"recorded: {test.log}: {', '.join(test.start)} in place of {', '.join(ranges)}")
+    for name, box in ranges.items():
+        value = test.start[name]
+        if not box.low <= value <= box.high:
+            raise ValueError(
+                f"space.{name}: test {number}, {test.log}, was driven from {value:g}, outside [{box.low:g}, "
+                f"{box.high:g}]; a start that the law does not have shows that it is another law"
+            )

@@ -173,9 +173,9 @@ def _method(problem: Mapping[str, Any], table: Mapping[str, Any]) -> MethodName:
     if isinstance(space, Mapping) and "scenarios" in space:
         return "scenario"
     # Every other method has a tolerance: where it is given, the space is at fault and not the method.
-    asked = bool(table.keys() & {"specifications", "falsify", "recorded"}) or (
-        isinstance(space, Mapping) and _is_drawn(space)
-    )
+    asked = bool(table.keys() & {"specifications", "falsify"}) or (isinstance(space, Mapping) and _is_drawn(space))
+    # Logs have their starts, and a rig is driven from a few.
+    asked = asked or (isinstance(table.get("system"), Mapping) and "rig" in table["system"])
     return "sample" if _claims_draws(table) or (asked and "alpha" not in problem) else "rigorous"
 
 

@@ -9,10 +9,10 @@ from ..ranges import LARGEST_BATCH
 from .composition import ComposedClaim, Rule, is_composed
 from .disturbance import MAX_DISTURBANCES, Disturbance
 from .drawn_claims import SAMPLED, ClaimRequest, DrawnClaim, drawn_claims
+from .logs import MAX_LOGS, RecordedTest
 from .method_spaces import MAX_CANDIDATES, MOST_STARTS, RESOLUTION, fixed_starts
 from .objectives import OBJECTIVES, Sense
 from .problem_models import Falsify, Gap, Problem, SampleProblem
-from .recorded import MAX_LOGS, RecordedTest
 from .requirements import MOST, Requirement, conjunction
 from .space import Space, SystemChoice
 

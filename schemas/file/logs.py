@@ -1,4 +1,4 @@
-"""How the logs of a rig or a vehicle become the columns of a system."""
+"""Logs of a rig or a vehicle: how they become columns, and the tests that were imported from them."""
 
 from collections.abc import Mapping
 from typing import Literal
@@ -8,6 +8,8 @@ from pydantic import Field, model_validator
 from ..base import Model
 from ..ranges import Magnitude
 
+MAX_LOGS = 10_000
+"""Logs of one campaign; the certificate contains all their starts."""
 ROUNDING = 1e-9
 """A distance may exceed its tolerance by so large a share of it: both are differences of decimal numbers."""
 
@@ -108,3 +110,16 @@ class LogMapping(Model):
             for name in getattr(self, key):
                 if name not in known:
                     raise ValueError(f"logs.{key}.{name}: the system has the columns {', '.join(known)}")
+
+
+class RecordedTest(Model):
+    """One test of a campaign that was imported: its log and its start."""
+
+    log: str = Field(min_length=1, max_length=1000, description="its file, below the folder of the logs")
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$", description="of the file")
+    start: dict[str, Magnitude] = Field(min_length=1, description="the start that was driven, by parameter")
+    offset: Magnitude | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="time in the log at which the test begins, in s, where it is not that of all logs",
+    )

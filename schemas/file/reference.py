@@ -10,6 +10,7 @@ from pydantic import BaseModel, TypeAdapter
 from .composition import ComposedClaim
 from .config import CampaignConfig
 from .drawn_claims import ClaimRequest
+from .logs import LogMapping
 from .method_spaces import SPACES
 from .objectives import OBJECTIVES, MethodName, Objective
 from .problem_models import (
@@ -81,6 +82,7 @@ SECTIONS: tuple[Section, ...] = (
     Section("[system]", SystemChoice, "The options of the system are keys, too; `perfbound systems` lists them."),
     Section("[system] of a program", SystemChoice, keys=PROGRAM_KEYS),
     Section("limits", ProgramLimits),
+    Section("[system.logs]", LogMapping, "Of a rig: [Logs and rigs](logs.md) has examples."),
     Section(
         "[space]",
         Range,
@@ -126,6 +128,10 @@ ALLOWED: dict[tuple[type[BaseModel], str], str] = {
     (Scenarios, "header"): "list of texts",
     (StartTable, "table"): "text, or lists of numbers",
     (StartTable, "header"): "list of texts",
+    (CampaignConfig, "recorded"): "tables",
+    (LogMapping, "offset"): '`"first"`, or a number',
+    (LogMapping, "columns"): "table of texts",
+    (LogMapping, "limits"): "table of lists of two numbers",
     (SystemChoice, "program"): "list of texts",
     (SystemChoice, "files"): "list of texts",
     (SystemChoice, "columns"): "table of texts",
@@ -161,6 +167,7 @@ OMITTED = (
 """Keys that a method inherits and refuses or ignores, or that have a table of their own."""
 LINKS = {
     "ProgramLimits": "limits",
+    "LogMapping": "systemlogs",
     "MaternKernel": "kernel",
     "Gap": "gap",
     "Linearised": "linearised",
@@ -174,10 +181,10 @@ LINKS = {
 
 def page() -> str:
     """Return the page as Markdown."""
-    first = [_section(each) for each in SECTIONS[:6]]
+    first = [_section(each) for each in SECTIONS[:7]]
     methods = "".join(_method_row(*row) for row in SPACES.items())
     problems = "".join(_problem_row(*row) for row in OBJECTIVES.items())
-    rest = [_section(each) for each in SECTIONS[6:]]
+    rest = [_section(each) for each in SECTIONS[7:]]
     return "".join((HEAD, *first, METHODS, methods, PROBLEMS, problems, PROBLEM_KEYS, *_problem_keys(), *rest))
 
 
@@ -272,12 +279,12 @@ def _allowed_values(part: dict[str, Any]) -> Iterator[str]:
     elif part.get("type") == "array":
         yield "[low, high]" if "prefixItems" in part else "tables"
     elif part.get("type") == "object":
-        yield f"table of {_KINDS['number']}s" if part.get("additionalProperties", {}) == NUMBERS else "tables"
+        values = part.get("additionalProperties", {})
+        yield "table of numbers" if isinstance(values, dict) and values.get("type") == "number" else "tables"
     elif "type" in part:
         yield f"{_KINDS[part['type']]}{_range_text(part)}"
 
 
-NUMBERS = {"type": "number", "exclusiveMinimum": 0}
 _KINDS = {"string": "text", "number": "number", "integer": "integer", "boolean": "true or false"}
 _LIMITS = (("minimum", ">="), ("exclusiveMinimum", ">"), ("maximum", "<="), ("exclusiveMaximum", "<"))
 

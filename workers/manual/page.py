@@ -135,6 +135,7 @@ def _listening(port: int) -> socket.socket:
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listening.bind(("127.0.0.1", port))
+        listening.listen()  # now: its address is printed before the server runs
     except OSError as error:
         listening.close()
         raise LinkError(f"--manual-port {port}: {error.strerror}; choose another one, or 0 for any") from None

@@ -1,16 +1,13 @@
 """A rig or a vehicle that a campaign file describes: its rollouts are logs, and no worker makes one."""
 
-from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NoReturn
 
 from ...schemas.errors import DefinitionError, SimulationError
 from ...schemas.file.config import CampaignConfig
-from ...schemas.file.disturbance import Disturbance
 from ...schemas.file.logs import LogMapping, driven_column
 from ...schemas.file.space import SystemChoice
-from ...schemas.system import AfterEnd, Parameter, SystemSpec, timed_columns
-from ...schemas.values import Stamps
+from ...schemas.system import Parameter, SystemSpec, timed_columns
 from .described import DescribedSystem, space_parameters
 
 MAX_HORIZON = 1e6
@@ -18,44 +15,37 @@ MAX_HORIZON = 1e6
 
 
 def rig_spec(
-    name: str,
+    choice: SystemChoice,
     parameters: tuple[Parameter, ...],
-    columns: Mapping[str, str],
-    *,
-    tolerance: Iterable[str] = (),
-    reported: Mapping[str, Disturbance] | None = None,
-    noisy: bool = True,
     max_horizon: float = MAX_HORIZON,
     doc: str = "measured, not simulated",
-    stamps: Stamps = "exact",
-    after_end: AfterEnd | None = None,
 ) -> SystemSpec:
-    """Return the specification of a rig; the start that was driven is a column for each parameter of `tolerance`.
+    """Return the specification of a rig; the start that was driven is a column for each parameter with a tolerance.
 
     Raises:
         DefinitionError: a name is none.
 
     """
-    units = {each.name: each.unit for each in parameters}
-    for each in tolerance:
+    columns, units = choice.columns or {}, {each.name: each.unit for each in parameters}
+    for each in choice.tolerance or ():
         if each not in units:
             raise DefinitionError(f"tolerance.{each}: there is no such parameter, only {', '.join(units)}")
-    driven = {driven_column(each): units[each] for each in tolerance}
+    driven = {driven_column(each): units[each] for each in choice.tolerance or ()}
     if clash := sorted(driven.keys() & columns.keys()):
         raise DefinitionError(f"columns.{clash[0]}: tolerance adds this column; leave it out")
-    own = {key: law.named(key, law.unit or columns.get(key, "")) for key, law in (reported or {}).items()}
+    own = {key: law.named(key, law.unit or columns.get(key, "")) for key, law in (choice.reported or {}).items()}
     return SystemSpec(
-        name=name,
+        name=choice.rig or "",
         doc=doc,
         parameters=parameters,
-        columns=timed_columns({**columns, **driven}, after_end),
+        columns=timed_columns({**columns, **driven}, choice.after_end),
         variants=("nominal",),
-        noisy=("nominal",) if noisy else (),
+        noisy=() if choice.noisy is False else ("nominal",),
         reported=tuple(own.values()),
         max_horizon=max_horizon,
         repeated="nowhere",
-        stamps=stamps,
-        after_end=after_end,
+        stamps=choice.stamps or "exact",
+        after_end=choice.after_end,
     )
 
 
@@ -85,16 +75,7 @@ def load_rig(path: Path, config: CampaignConfig) -> DescribedRig:
     if choice.options:
         raise DefinitionError(f"{path}: system.{next(iter(choice.options))}: a rig has no options; remove this key")
     try:
-        spec = rig_spec(
-            choice.rig,
-            tuple(space_parameters(config, str(path))),
-            choice.columns or {},
-            noisy=choice.noisy is not False,
-            tolerance=choice.tolerance or (),
-            reported=choice.reported,
-            stamps=choice.stamps or "exact",
-            after_end=choice.after_end,
-        )
+        spec = rig_spec(choice, tuple(space_parameters(config, str(path))))
     except DefinitionError as error:
         raise DefinitionError(f"{path}: system: {error}") from None
     return DescribedRig(spec, choice)

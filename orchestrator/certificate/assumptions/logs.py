@@ -53,24 +53,23 @@ def _law_of_starts(name: str, header: Header) -> Assumption:
     laws = _laws(header)
     if not laws:
         return assumption(f"law_of_starts/{name}", "assumed")
-    places = [k for k, _ in laws]
-    values = np.array([test.start for test in header.config.recorded])[:, places]
-    known, test = ReportedLaws([law for _, law in laws]), LawTest(len(laws))
+    values = np.array([[test.start[law.name] for law in laws] for test in header.config.recorded])
+    known, test = ReportedLaws(laws), LawTest(len(laws))
     # Independent of the starts: any fixed sequence is.
     test.observe(known.shares(values, np.random.default_rng(0).random(values.shape)))
     finding = test.finding()
-    law = laws[int(finding.values["kind"])][1]
+    law = laws[int(finding.values["kind"])]
     return assumption(f"law_of_starts/{name}", finding.status, {**finding.values, "kind": law.name, "law": law.words})
 
 
-def _laws(header: Header) -> list[tuple[int, Disturbance]]:
-    """Return the parameters, by their places, whose values have a law of their own."""
+def _laws(header: Header) -> list[Disturbance]:
+    """Return the laws of the parameters that have one of their own."""
     space = header.config.space
     # Of a region or a table the parameters depend on one another.
     if not isinstance(space, dict) or header.config.where is not None:
         return []
-    laws = ((k, _law(name, box)) for k, (name, box) in enumerate(parameter_ranges(space).items()))
-    return [(k, law) for k, law in laws if law is not None]
+    laws = (_law(name, box) for name, box in parameter_ranges(space).items())
+    return [law for law in laws if law is not None]
 
 
 def _law(name: str, box: Range) -> Disturbance | None:

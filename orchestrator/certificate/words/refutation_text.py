@@ -5,7 +5,7 @@ from decimal import ROUND_FLOOR, Context
 
 from ....schemas.amounts import counted
 from ....schemas.result.certificate import Counterexample, DrawnValue, FailureAtStart, LikeliestFailure, RiskAtStart
-from ..assumptions.sentences import statement
+from ..assumptions.statements import statement
 from .bound_text import DIGITS, in_unit, outward
 
 BY_DERIVATION = {"centred_noise"}

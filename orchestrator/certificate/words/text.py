@@ -29,7 +29,8 @@ from ....schemas.result.certificate import (
 )
 from ....schemas.system import SCORED
 from ...campaign.clip import SAME, floored, is_vacuous
-from ..assumptions.sentences import title, value_text
+from ..assumptions.sentences import value_text
+from ..assumptions.statements import title
 from .bound_text import chance, clip_words, in_unit, margin_text, outward, short_chance, start_words, with_named_starts
 from .console_lines import hanging, heading, plain_line
 from .control_text import control_line, control_sentence

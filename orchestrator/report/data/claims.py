@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from ....schemas.file.objectives import Quantity
 from ....schemas.result.certificate import Assumption, Status
 from ....schemas.result.known import ByRollouts, VerdictWord
-from ...certificate.assumptions.sentences import title
+from ...certificate.assumptions.statements import title
 from ...certificate.words.bound_text import with_named_start
 
 NUMBERS = {

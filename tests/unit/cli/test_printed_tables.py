@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from perfbound.orchestrator.certificate.assumptions.sentences import title
+from perfbound.orchestrator.certificate.assumptions.statements import title
 from perfbound.orchestrator.certificate.verify.checks import CHECKS, Checks
 from perfbound.orchestrator.certificate.verify.run import Verification
 from perfbound.orchestrator.certificate.verify.table import print_verification

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 from perfbound.orchestrator.certificate import assumptions
-from perfbound.orchestrator.certificate.assumptions.sentences import STATEMENTS, statement, title
+from perfbound.orchestrator.certificate.assumptions.statements import STATEMENTS, statement, title
 from tests.facts import says
 
 FOLDER = Path(assumptions.__file__).parent

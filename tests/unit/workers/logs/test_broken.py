@@ -9,6 +9,7 @@ import pytest
 
 from perfbound.schemas.errors import PerfboundError
 from perfbound.schemas.file.logs import LogMapping
+from perfbound.schemas.file.space import SystemChoice
 from perfbound.schemas.system import Parameter
 from perfbound.workers.logs.read import LogReader
 from perfbound.workers.systems.rig import rig_spec
@@ -17,7 +18,9 @@ from tests.fakes.logs import OF_MESSAGES, Floats, write_bag, write_csv, write_js
 T = np.asarray(np.arange(41) * 0.05, dtype=np.float64)
 D: Floats = 30.0 - 4.0 * T
 V: Floats = 20.0 - 6.0 * T
-SPEC = rig_spec("test-car", (Parameter(name="gap", low=5, high=50),), {"distance": "m", "speed": "m/s"})
+SPEC = rig_spec(
+    SystemChoice(rig="test-car", columns={"distance": "m", "speed": "m/s"}), (Parameter(name="gap", low=5, high=50),)
+)
 Write = Callable[[Path], Path]
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from perfbound.schemas.file.logs import LogMapping
+from perfbound.schemas.file.space import SystemChoice
 from perfbound.schemas.system import Parameter
 from perfbound.workers.logs.read import LogReader
 from perfbound.workers.systems.rig import rig_spec
@@ -28,7 +29,9 @@ TIMES = np.asarray(np.arange(41) * 0.05, dtype=np.float64)
 # Numbers of single precision: the message of a range finder has no more.
 DISTANCE: Floats = np.asarray(30.0 - 4.0 * TIMES + 0.1 * np.sin(TIMES), dtype=np.float32).astype(np.float64)
 SPEED: Floats = 20.0 - 6.0 * TIMES
-SPEC = rig_spec("test-car", (Parameter(name="gap", low=5, high=50),), {"distance": "m", "speed": "m/s"})
+SPEC = rig_spec(
+    SystemChoice(rig="test-car", columns={"distance": "m", "speed": "m/s"}), (Parameter(name="gap", low=5, high=50),)
+)
 TABLE: dict[str, Floats] = {"t": TIMES, "distance": DISTANCE, "speed": SPEED}
 MESSAGES = {"columns": OF_MESSAGES, "offset": "first"}
 
@@ -102,7 +105,7 @@ def test_a_form_gives_the_rollout(tmp_path: Path, form: str) -> None:
 
 def test_the_stamp_of_a_message_is_its_time_where_it_is_named(tmp_path: Path) -> None:
     path = write_ros_mcap(tmp_path / "a.mcap", TIMES, DISTANCE, SPEED, form="ros2")
-    spec = rig_spec("radar", SPEC.parameters, {"distance": "m"})
+    spec = rig_spec(SystemChoice(rig="radar", columns={"distance": "m"}), SPEC.parameters)
     mapping = LogMapping(columns={"distance": "/radar.range"}, time="header.stamp", offset="first")
     assert np.allclose(LogReader(spec, mapping).trajectory(path, 2.0).samples[:, 0], TIMES, atol=1e-9)
 
