@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...schemas.batch import BatchRequest, alone
-from ...schemas.errors import PerfboundError, TrajectoryError
+from ...schemas.errors import CampaignError, PerfboundError, TrajectoryError
 from ...schemas.ids import RolloutId
 from ...schemas.requests import RequestTemplate
 from ...schemas.rollout import RolloutRequest
 from ...schemas.system import SystemSpec
 from ...schemas.trajectory.trajectory import Trajectory, decode
-from ..fleet.children.child import HangError, ask, system_options
+from ..fleet.children.child import HangError, ask, system_options, system_spec
 
 Done = Callable[[int], None]
 """Progress callback: rollouts that are finished."""
@@ -33,6 +33,17 @@ class ChildRolloutError(PerfboundError):
 
 class SlowRolloutError(ChildRolloutError):
     """A rollout has not ended in its time."""
+
+
+def simulated_spec(reference: str, where: str) -> SystemSpec:
+    """Return a system of which rollouts can be made here; raises as `system_spec`, and of a rig."""
+    spec = system_spec(reference, where)
+    if spec.repeated == "nowhere":
+        raise CampaignError(
+            f"{where}: {spec.name} is a rig, of which nothing here makes a rollout; its campaign file is written by "
+            "hand, and `perfbound import` or `perfbound orchestrate` runs it"
+        )
+    return spec
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,9 +16,8 @@ from ....schemas.file.reader import parse_campaign
 from ....schemas.system import SystemSpec
 from ...campaign import plan as plans
 from ...campaign.checks import check, check_new, check_sizes
-from ...fleet.children.child import system_spec
 from ...mathematics.bounds.cost import LARGEST_MEMORY, calibration_memory, most
-from ..child_rollouts import ChildRolloutError, ChildSystem
+from ..child_rollouts import ChildRolloutError, ChildSystem, simulated_spec
 from ..rounded import clip_around
 from .constants import Constant, ProblemCalibration
 from .design import RolloutBudget
@@ -85,7 +84,7 @@ def calibrate_draft(wish: CalibrationWish, report: Report) -> Calibration:
     draft = load_draft(wish.campaign)
     config = draft.config
     reference = config.system.reference(wish.campaign)
-    spec = as_in_campaign(system_spec(reference, f"{source}: system.name"), config)
+    spec = as_in_campaign(simulated_spec(reference, f"{source}: system.name"), config)
     (check if draft.clip is None else check_new)(config, spec, source)
     check_sizes(config, source)
     check_effort(wish.rollouts, spec)

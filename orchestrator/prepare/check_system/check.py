@@ -24,8 +24,9 @@ from ....schemas.trajectory.trajectory import decode
 from ...campaign.plan import plans
 from ...campaign.starts import check_where
 from ...certificate.verify.stages import Report
-from ...fleet.children.child import named_campaign, system_options, system_spec
+from ...fleet.children.child import named_campaign, system_options
 from ...fleet.children.simulate import chosen_horizon, chosen_options
+from ..child_rollouts import simulated_spec
 from ..seen_margins import SeenMargins
 from ..size import undecided_rollouts
 from .findings import SystemFinding
@@ -80,7 +81,7 @@ def checked_system(
 
     """
     config = named_campaign(reference)
-    spec = as_in_campaign(system_spec(reference, "SYSTEM"), config)
+    spec = as_in_campaign(simulated_spec(reference, "SYSTEM"), config)
     if config is not None:
         check_against(config, spec, reference)
     bounded, spec = spec.as_parameters, spec.as_simulated  # the system is checked with the laws that it declares

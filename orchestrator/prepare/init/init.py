@@ -22,13 +22,13 @@ from ...campaign import plan
 from ...campaign.checks import check_new
 from ...campaign.consistency import scope
 from ...certificate.words.format import duration
-from ...fleet.children.child import in_file, named_campaign, resolved, system_spec
+from ...fleet.children.child import in_file, named_campaign, resolved
 from ...fleet.children.simulate import chosen_horizon
 from ...forecast.remaining import least_distance
 from ..calibrate.calibrate import Effort, proposals
 from ..calibrate.constants import Constant
 from ..check_system.files import to_declare
-from ..child_rollouts import ChildRolloutError, ChildSystem
+from ..child_rollouts import ChildRolloutError, ChildSystem, simulated_spec
 from ..rounded import clip_around, covering, rounded_up
 from ..size import LEAST_COST, WORKERS, first_samples, first_size, proposed_batch
 from . import values
@@ -82,7 +82,7 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
     if wish.out is not None:  # first: to load a system may take seconds
         _check_unwritten(wish.out)
     known = named_campaign(wish.reference)
-    spec = as_in_campaign(system_spec(wish.reference, "SYSTEM"), known).as_simulated
+    spec = as_in_campaign(simulated_spec(wish.reference, "SYSTEM"), known).as_simulated
     wish = replace(wish, question=wish.question or (DEFAULT if len(spec.parameters) <= LATTICE_PARAMETERS else IN_MANY))
     question = QUESTIONS[wish.question]
     if question.of_box and len(spec.parameters) > LATTICE_PARAMETERS:

@@ -26,7 +26,6 @@ from ...campaign.region import Start
 from ...campaign.seeds import drawn
 from ...campaign.starts import Draws
 from ...certificate.words.format import duration
-from ...fleet.children.child import system_spec
 from ...forecast.evidence import evidence_bytes
 from ...mathematics.bounds.cost import MethodSize
 from ...mathematics.gp.points import point_at
@@ -39,6 +38,7 @@ from ..child_rollouts import (
     have_one_grid,
     peak_memory,
     simulate_in_child,
+    simulated_spec,
     trial_batches,
 )
 from ..size import proposed_batch, undecided_rollouts
@@ -87,7 +87,7 @@ def plan_campaign(config: CampaignConfig, source: Path, workers: int, report: Re
 
     """
     reference = config.system.reference(source)
-    spec = system_spec(reference, f"{source}: {config.system.place}")
+    spec = simulated_spec(reference, f"{source}: {config.system.place}")
     check_new(config, spec, str(source))
     header = Header.new(config, spec, {}, run=NAME)
     found = plans(config, header.spec)

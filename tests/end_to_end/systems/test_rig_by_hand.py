@@ -109,7 +109,15 @@ def test_a_rig_is_driven_by_hand_through_restarts(started: Processes) -> None:
         hand.post("log", key=trial["key"], path="/no/such/log.csv"),
         hand.post("failed", key=trial["key"], reason=" "),
     ]
-    words = ["1 from the", "no column 'force'", "the last row", "choose the log", "withdrawn", "No such file", "say why"]
+    words = [
+        "1 from the",
+        "no column 'force'",
+        "the last row",
+        "choose the log",
+        "withdrawn",
+        "No such file",
+        "say why",
+    ]
     assert [(word, fault) for word, fault in zip(words, refused, strict=True) if word not in fault] == []
     assert hand.trial()["key"] == trial["key"]
     assert not list((started.folder / "logs").glob("*")), "nothing is kept of what was refused"
