@@ -161,3 +161,6 @@ def test_a_rig_has_no_other_worker(started: Processes) -> None:
     assert "brake-bench is a rig: a person drives it; give --manual FOLDER" in serve
     none = started.run("perfbound-worker", "--manual", "logs", "--connect", "tcp/127.0.0.1:1").fault
     assert "give the campaign file of one rig" in none
+    for command in ("init", "check-system", "plan"):
+        refused = started.run("perfbound", command, "bench.toml").fault
+        assert "brake-bench is a rig, of which nothing here makes a rollout" in refused
