@@ -10,8 +10,10 @@ A parameter is set where its name is found: an argument of the function `reset` 
 the environment, before and after its reset; else a key of its `config`, or an option, for its reset.
 """
 
+import inspect
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from numbers import Real
 from pathlib import Path
 from typing import Any, SupportsFloat, TypeGuard
@@ -53,10 +55,26 @@ class Environment:
     """An environment that was made once, with its policy: it runs episodes."""
 
     def __init__(self, env: Any, policy: Policy, names: Sequence[str], where: str) -> None:
-        self.env, self._policy, self._where = env, policy, where
+        self.env, self._policy, self._where, self._parameters = env, policy, where, tuple(names)
+        if policy.start is not None:
+            self._check_start(policy.start)
         self.observed = tuple(_names(env.observation_space))
         """The names of the numbers of an observation."""
         self._setters = {name: self._setter(name) for name in names}
+
+    def _check_start(self, start: Callable[..., Any]) -> None:
+        """Refuse a function `reset` that does not take what it is called with, where Python knows it."""
+        with suppress(ValueError):  # of some that are not written in Python
+            try:
+                inspect.signature(start).bind(self.env, seed=0, **dict.fromkeys(self._parameters, 0.0))
+            except TypeError as error:
+                raise DefinitionError(
+                    f"{self._policy.path}: reset is called with every parameter, {self._arguments}: {error}"
+                ) from None
+
+    @property
+    def _arguments(self) -> str:
+        return f"reset(env, *, seed, {', '.join(self._parameters)})"
 
     def _setter(self, name: str) -> str:
         """Return where a parameter is set; refuse an attribute that is no number."""
@@ -68,7 +86,7 @@ class Environment:
         if not _is_number(value := getattr(base, name)):
             raise DefinitionError(
                 f"{self._where}: space: {name} is an attribute of the environment, and {type(value).__name__} "
-                f"and no number; {self._write_reset(name)}"
+                f"and no number; {self._write_reset()}"
             )
         return "attribute"
 
@@ -95,9 +113,11 @@ class Environment:
         before = self._first_steps(lows) if options else np.empty(0)
         for name in options:
             if np.array_equal(before, self._first_steps({**lows, name: highs[name]}), equal_nan=True):
+                base = self.env.unwrapped
+                near = meant(name, [each for each in vars(base) if _is_number(getattr(base, each))])
                 raise DefinitionError(
-                    f"{self._where}: space: the environment has no attribute {name}, and reset(options={{{name!r}: "
-                    f"...}}) changes nothing in {TRIED} steps; {self._write_reset(name)}"
+                    f"{self._where}: space: {near}the environment has no attribute {name}, and "
+                    f"reset(options={{{name!r}: ...}}) changes nothing in {TRIED} steps; {self._write_reset()}"
                 )
 
     def _first_steps(self, start: Mapping[str, float]) -> Floats:
@@ -144,6 +164,8 @@ class Environment:
 
     def _begun(self, start: Mapping[str, float], seed: int) -> tuple[Any, Mapping[str, Any]]:
         env, base = self.env, self.env.unwrapped
+        # Some environments draw an action at their reset, and no seed of theirs reaches this.
+        env.action_space.seed(seed)
         of = {kind: {n: v for n, v in start.items() if self._setters[n] == kind} for kind in self._setters.values()}
         if self._policy.start is not None:
             found = self._policy.start(env, seed=seed, **start)
@@ -166,8 +188,11 @@ class Environment:
             setattr(base, name, value)
         return observation, info
 
-    def _write_reset(self, name: str) -> str:
-        return f"write a function reset(env, *, seed, {name}) in {self._policy.path.name} that starts an episode"
+    def _write_reset(self) -> str:
+        path, wanted = self._policy.path, f"a function {self._arguments} that starts an episode"
+        if path.suffix == ".py":
+            return f"write {wanted} in {path.name}"
+        return f"write {wanted} in a policy.py, with a class that loads {path.name}, and files = [{path.name!r}]"
 
 
 class EnvironmentSystem(DescribedSystem):

@@ -1,7 +1,6 @@
 """The policies of environments, and controllers: a function or class in a file, or a model of Stable-Baselines3."""
 
 import importlib
-import importlib.metadata
 import inspect
 from collections.abc import Callable
 from contextlib import suppress
@@ -11,7 +10,7 @@ from typing import Any, NamedTuple
 from ...schemas.errors import DefinitionError, meant
 from ..faults import NOT_OF_SYSTEMS, fault_text
 from .files import loaded_code
-from .fingerprint import file_sha256
+from .fingerprint import file_sha256, versions_of
 
 ALGORITHMS = ("stable_baselines3", "sb3_contrib")
 """Packages in which an algorithm is looked for."""
@@ -92,10 +91,17 @@ def _of_model(path: Path, text: str, name: str) -> Policy:
         )
     # On the CPU, and in one thread: a sum in another order has other last digits.
     importlib.import_module("torch").set_num_threads(1)
-    model = algorithm.load(path, device="cpu")
+    try:
+        model = algorithm.load(path, device="cpu")
+    except NOT_OF_SYSTEMS:
+        raise
+    except BaseException as error:  # noqa: BLE001  (any: a file of anybody)
+        raise DefinitionError(
+            f"{path}: it cannot be loaded as a model of {name} ({fault_text(error)}); name the algorithm that saved "
+            "it, or save it again"
+        ) from None
 
     def act(observation: Any) -> Any:
         return model.predict(observation, deterministic=True)[0]
 
-    versions = {each: importlib.metadata.version(each) for each in (package.replace("_", "-"), "torch")}
-    return Policy(act, None, None, path, {text: file_sha256(path)}, versions)
+    return Policy(act, None, None, path, {text: file_sha256(path)}, versions_of((), {package, "torch"}))

@@ -46,6 +46,12 @@ STATEMENTS = {
     "unrelated_crashes": "crashes and lost attempts are unrelated to outcomes",
     "workers_honest": "worker processes send what they simulated",
 }
+OF_FORMS = {
+    "measured_system": "operation is like the tests that were made",
+    "told_honestly": "what was handed in is what the system did",
+    "starts_of_logs": "every test that was made is there, and drawn by the law",
+}
+"""Where a form says something else than others of its assumption."""
 
 
 def statement(name: str) -> str:
@@ -59,11 +65,11 @@ def statement(name: str) -> str:
     return STATEMENTS.get(numbered if number.isdigit() else first, first)
 
 
-def title(name: str) -> str:
-    """Return what an assumption says, as a heading.
+def title(name: str, form: str | None = None) -> str:
+    """Return the statement of an assumption, of this form, as a title.
 
-    >>> title("kernel/robustness")
-    'The objective is as smooth as the kernel says'
+    >>> title("kernel/robustness"), title("simulator_is_the_system", "measured_system")
+    ('The objective is as smooth as the kernel says', 'Operation is like the tests that were made')
     """
-    found = statement(name)
+    found = OF_FORMS.get(form or "") or statement(name)
     return found[:1].upper() + found[1:]

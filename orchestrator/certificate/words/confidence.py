@@ -30,7 +30,9 @@ def confidence_sentences(verdict: CampaignVerdict, predicate: Predicate, *, repe
     """Yield how sure a verdict is; `repeated` tells whether a repetition of the worst rollout gave the same."""
     unit = "" if verdict.unit == "1" else one_line(verdict.unit)
     if verdict.by_rollouts:
-        yield _shown_by_rollouts(verdict.by_rollouts, verdict.required_probability, repeated=repeated)
+        measured = any(each.form == "measured_system" for each in predicate.assumptions)
+        of = "system that was measured" if measured else "simulator"
+        yield _shown_by_rollouts(verdict.by_rollouts, verdict.required_probability, of, repeated=repeated)
         if any(each.id == "borders" for each in predicate.assumptions):
             yield "It may depend on how time stamps at borders of windows are read: see the assumption `borders`."
         return
@@ -48,11 +50,11 @@ def confidence_sentences(verdict: CampaignVerdict, predicate: Predicate, *, repe
         yield "Nothing is claimed that could be wrong: the bound holds without any rollout."
 
 
-def _shown_by_rollouts(how: ByRollouts, probability: float, *, repeated: bool) -> str:
+def _shown_by_rollouts(how: ByRollouts, probability: float, of: str, *, repeated: bool) -> str:
     if how == "certain" and repeated:
-        return "Certain of the simulator: the rollout shows it, and its repetition shows the same."
+        return f"Certain of the {of}: the rollout shows it, and its repetition shows the same."
     if how == "certain":
-        return "Certain of the simulator: the rollout shows it. This rollout was not repeated."
+        return f"Certain of the {of}: the rollout shows it. This rollout was not repeated."
     wrong = outward(1.0 - probability, "<=")
     return f"Wrong with probability at most {wrong}, by the chance in the rollouts. Kernel and norm bound are not used."
 

@@ -54,7 +54,7 @@ def print_list(assumptions: Iterable[Assumption], console: Console) -> None:
         plain_line(console, f"  {group}", "bold")
         for name, each in members:
             head = Text(f"    {each.status:<{STATUS}}", COLOURS.get(each.status, "yellow"))
-            console.print(head.append(title(each.id), "bold").append(f" ({name})", "dim"), soft_wrap=True)
+            console.print(head.append(title(each.id, each.form), "bold").append(f" ({name})", "dim"), soft_wrap=True)
             hanging(console, Text(" " * (4 + STATUS)), each.detail)
 
 

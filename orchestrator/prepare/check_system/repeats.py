@@ -142,7 +142,7 @@ def _cut_seeds(measurements: Measurements) -> SystemFinding | None:
                 f"{len(digests)} seeds at one start give only {different} different rollouts: the seed seems to be "
                 "cut, as by `seed % 7`, so that rollouts are not independent",
                 "give the whole seed to the generator, and declare seed_bits=32 if it takes no longer one; if its "
-                "noise has so few outcomes, this is no fault",
+                "noise, or what the columns record of it, has so few outcomes, this is no fault",
             )
     return None
 

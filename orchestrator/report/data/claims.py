@@ -85,7 +85,7 @@ def assumption_row(found: Assumption, units: Mapping[str, str] | None = None) ->
     """Return an assumption of a certificate with its title; `units` are those of the parameters, in their order."""
     sentence = with_named_start(found, units or {}).detail
     detail = sentence[:1].upper() + sentence[1:]
-    return AssumptionRow(found.id, title(found.id), found.status, detail, _constants_of(found))
+    return AssumptionRow(found.id, title(found.id, found.form), found.status, detail, _constants_of(found))
 
 
 def _constant_text(value: float | str) -> str:

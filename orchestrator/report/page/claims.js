@@ -108,14 +108,30 @@ function claimSection(report) {
     verdictCard(report),
     refutation(report),
     counterexample(report),
-    repeatsTable ? null : el("p.kind", claimHeading(report)),
-    repeatsTable ? null : el("p.claim#claim", sentence(first ? first.sentence : report.now)),
-    formula && el("div.formula", formula),
-    first ? el("p.muted", claimBasis(first, unitText(report.problems[0]?.unit))) : null,
-    first ? first.notes.map((note) => el("p.muted", sentence(note))) : null,
+    el(
+      "div.beside",
+      el(
+        "div",
+        repeatsTable ? null : el("p.kind", claimHeading(report)),
+        repeatsTable ? null : el("p.claim#claim", sentence(first ? first.sentence : report.now)),
+        formula && el("div.formula", formula),
+        first ? el("p.muted", claimBasis(first, unitText(report.problems[0]?.unit))) : null,
+        first ? first.notes.map((note) => el("p.muted", sentence(note))) : null,
+      ),
+      first ? worstPicture(report) : null,
+    ),
     report.violations && !report.counterexample && !report.verdict ? el("p", el("a", { href: "#counterexamples" }, `${plural(report.violations, "rollout")} violated the specification.`)) : null,
     others.length ? otherClaims(others) : null,
   );
+}
+
+/** The worst rollout with its limit, which a reader looks for first. */
+function worstPicture(report) {
+  const data = worstScene(report);
+  if (!data?.traces.length) return null;
+  const { name, unit } = limitedColumn(data);
+  const test = el("button", { "data-select": `${data.problem}:${data.test}` }, `Show test ${count(data.test)}`);
+  return el("div.worst-picture", chartFigure("worst-curve", `The worst rollout: ${withUnit(name, unit)} against time`), el("p", test));
 }
 
 /** What stands above the words of the first claim: a violation or refutation is the verdict, and not the claim. */
@@ -183,8 +199,9 @@ const FIRST_OF_ALL = ["simulator_is_the_system", "rkhs_norm", "kernel", "noise_s
 function restsOn(report) {
   if (report.verdict.by_rollouts !== null) {
     const chance = report.verdict.by_rollouts === "certain" ? "" : ", which must be independent of each other";
+    const outside = report.assumptions.find((each) => each.id === "simulator_is_the_system")?.title ?? "the real system behaves like the simulator";
     const borders = report.assumptions.some((each) => each.id === "borders") ? ", on how their time stamps at borders of windows are read" : "";
-    return [el("p", `On the rollouts alone${chance}${borders}, and on what no rollout can check: that the real system behaves like the simulator.`)];
+    return [el("p", `On the rollouts alone${chance}${borders}, and on what no rollout can check: that ${outside.charAt(0).toLowerCase()}${outside.slice(1)}.`)];
   }
   if (report.claims[0].vacuous) return [el("p", "On nothing: the bound holds without any rollout.")];
   const mine = report.assumptions.filter((each) => report.claims[0].assumptions.includes(each.id));

@@ -27,7 +27,7 @@ function draw() {
     drawProblemCharts(report, problem, index);
     drawRegions(report, problem, index);
   });
-  drawCurves(data);
+  drawCurves(report, data);
   writeMargins(report);
   drawThroughput(report.throughput);
   tidyCharts();

@@ -58,6 +58,18 @@ function columnsOf(data) {
   });
 }
 
+/** The rollouts of the test that a page shows first, where it has them. */
+function worstScene(report) {
+  const first = report.counterexample ?? rankedOf(report)[0];
+  return first && report.scenes.find((each) => each.problem === first.problem && each.test === first.test);
+}
+
+/** The column of a picture that has room for one: with a limit, where the specification has one. */
+function limitedColumn(data) {
+  const columns = columnsOf(data);
+  return columns.find((each) => each.limits.length) ?? columns[0];
+}
+
 /** Whether the reader wants a further column whose curves are not here; a live page requests them. */
 function lacksColumns(data) {
   return data.further.length === 0 && data.further_columns.some((name) => curveView.columns.has(name));
@@ -161,18 +173,25 @@ function limitKey({ limits, unit }) {
 
 // Drawing -------------------------------------------------------------------------------------------------------------
 
-/** Draw the curves of the selected test. */
-function drawCurves(data) {
+/** Draw the curves of the selected test, and the worst rollout beside the claim. */
+function drawCurves(report, data) {
   const rollouts = data ? drawnRollouts(data) : [];
   const present = new Set();
   const put = (id, of) => {
     const host = document.getElementById(id);
     if (host === null) return;
     present.add(id);
-    drawCurveChart(host, { ...of, rollouts });
+    drawCurveChart(host, { rollouts, ...of });
   };
+  const curveOf = (column) => (rollout) => column.traces.find((each) => curveKey(each) === rollout.key) ?? { t: [], values: [] };
+  const worst = worstScene(report);
+  if (worst?.traces.length) {
+    const column = limitedColumn(worst);
+    const own = drawnRollouts(worst).filter((each) => each.worst);
+    put("worst-curve", { rollouts: own, name: short(column.name, 40), label: withUnit(column.name, column.unit), unit: column.unit, curve: curveOf(column), limits: column.limits, height: 190, marks: () => false });
+  }
   columnsOf(data ?? { traces: [], further: [], limits: [], limit_columns: [] }).forEach((column, k) => {
-    const curve = (rollout) => column.traces.find((each) => curveKey(each) === rollout.key) ?? { t: [], values: [] };
+    const curve = curveOf(column);
     put(`curves-${k}`, { name: short(column.name, 40), label: withUnit(column.name, column.unit), unit: column.unit, curve, limits: column.limits, height: 250, marks: (rollout) => rollout.columns.includes(column.name) });
   });
   if (data?.margin_of) {

@@ -211,6 +211,7 @@ class Act:
         ("CartPole-v1", "length = [0.4, 0.6]", "clip = 3", r"gymnasium: put the key `clip` of the campaign above the"),
         ("absent:Own-v0", "length = [0.4, 0.6]", "", r"system\.gymnasium: absent:Own-v0: .*absent"),
         ("CartPole-v1", "lenght = [0.4, 0.6]", "", r"no attribute lenght, and .*write a function reset\(env, \*, seed"),
+        ("CartPole-v1", "lenght = [0.4, 0.6]", "", r"space: did you mean 'length'\?"),
         ("walk:Walk-v0", "title = [0, 1]", "", r"space: title is an attribute of the environment, and str and no num"),
         ("walk:Walk-v0", "width = [1, 5]", "", r"write width = \{ low = 1, high = 5, step = 1 \}"),
         ("MountainCar-v0", "force = [0.001, 0.002]", "", r"system\.step: MountainCar-v0 does not say how long a step"),
@@ -222,6 +223,12 @@ def test_what_cannot_be_is_refused_with_the_remedy(
 ) -> None:
     with pytest.raises(DefinitionError, match=said):
         environment(named, space, keys, policy=ACTS)
+
+
+def test_a_reset_that_lacks_a_parameter_is_refused_with_all_of_them(environment: Make) -> None:
+    policy = f"{ACTS}\ndef reset(env, *, seed, length):\n    return env.reset(seed=seed)\n"
+    with pytest.raises(DefinitionError, match=r"every parameter, reset\(env, \*, seed, length, angle\): got an unex"):
+        environment("CartPole-v1", "length = [0.4, 0.6]\nangle = [0, 0.1]", policy=policy)
 
 
 @pytest.mark.parametrize(
@@ -295,8 +302,23 @@ def test_a_model_acts_by_what_its_library_predicts(tmp_path: Path, monkeypatch: 
     threads: list[int] = []
     monkeypatch.setitem(sys.modules, "stable_baselines3", SimpleNamespace(PPO=PPO))
     monkeypatch.setitem(sys.modules, "torch", SimpleNamespace(set_num_threads=threads.append))
-    monkeypatch.setattr("importlib.metadata.version", lambda name: f"1 of {name}")
+    versions = "perfbound.workers.systems.policy.versions_of"
+    monkeypatch.setattr(versions, lambda _, modules: {name: f"1 of {name}" for name in modules})
     found = load_policy("model.zip:PPO", tmp_path)
     assert (found.act(3.0), threads) == (6.0, [1])
     assert found.digests == {"model.zip": hashlib.sha256(b"weights").hexdigest()}
-    assert found.versions == {"stable-baselines3": "1 of stable-baselines3", "torch": "1 of torch"}
+    assert found.versions == {"stable_baselines3": "1 of stable_baselines3", "torch": "1 of torch"}
+
+
+def test_a_model_of_another_algorithm_is_refused_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "model.zip").write_bytes(b"weights")
+
+    class SAC:
+        @classmethod
+        def load(cls, path: Path, device: str) -> None:
+            raise AttributeError("'ActorCriticPolicy' object has no attribute 'actor'")
+
+    monkeypatch.setitem(sys.modules, "stable_baselines3", SimpleNamespace(SAC=SAC))
+    monkeypatch.setitem(sys.modules, "torch", SimpleNamespace(set_num_threads=lambda _: None))
+    with pytest.raises(DefinitionError, match=r"model.zip: it cannot be loaded as a model of SAC .*name the algorithm"):
+        load_policy("model.zip:SAC", tmp_path)
