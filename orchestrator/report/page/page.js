@@ -27,7 +27,8 @@ function draw() {
     drawProblemCharts(report, problem, index);
     drawRegions(report, problem, index);
   });
-  drawCurves(report, data);
+  drawCurves(data);
+  drawWorst(report);
   writeMargins(report);
   drawThroughput(report.throughput);
   tidyCharts();

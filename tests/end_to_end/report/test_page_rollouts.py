@@ -50,6 +50,21 @@ def test_the_worst_rollout_is_shown_first_and_says_so(browser: Browser, tmp_path
         assert "the first violation among 845 true rollouts" in section.locator(".why").inner_text()
 
 
+def test_the_worst_rollout_is_drawn_beside_the_claim_whatever_is_chosen(browser: Browser, tmp_path: Path) -> None:
+    """Its column with the limit; and the way to all of its columns."""
+    drawn = """() => {
+        const { plot, overlay } = charts.get(document.getElementById("worst-curve"));
+        return [plot.series[1].label, Math.min(...plot.data[1]), overlay.levels.map(({ label }) => label)];
+    }"""
+    with shown(browser, tmp_path) as watch:
+        first = watch.page.evaluate(drawn)
+        assert first[2], "with its limit"
+        watch.page.click('[data-select="sim_gap:0"]')
+        assert watch.page.evaluate(drawn) == first
+        watch.page.click(f".worst-picture button:has-text('Show test {WORST}')")
+        assert watch.page.locator("#test").get_attribute("data-test") == str(WORST)
+
+
 def test_without_a_robustness_the_observed_values_rank_the_tests(browser: Browser, tmp_path: Path) -> None:
     with shown(browser, tmp_path) as watch:
         assert watch.page.locator("#test").get_attribute("data-test") == str(WORST)

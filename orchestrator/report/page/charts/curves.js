@@ -173,25 +173,37 @@ function limitKey({ limits, unit }) {
 
 // Drawing -------------------------------------------------------------------------------------------------------------
 
-/** Draw the curves of the selected test, and the worst rollout beside the claim. */
-function drawCurves(report, data) {
+/** Draw the worst rollout beside the claim: a picture without a choice of the reader. */
+function drawWorst(report) {
+  const host = document.getElementById("worst-curve");
+  const data = host && worstScene(report);
+  if (!data?.traces.length) return;
+  const column = limitedColumn(data);
+  const rollout = drawnRollouts(data).find((each) => each.worst);
+  const { t, values } = column.traces.find((each) => curveKey(each) === rollout.key) ?? { t: [], values: [] };
+  const [low, high] = extent(values, column.limits) ?? [0, 1];
+  const border = 0.08 * (high - low) || 0.5;
+  const levels = column.limits.map((value) => ({ value, label: `limit ${quantity(value, column.unit)}`, colour: "ink", dash: [2, 3] }));
+  const stop = rollout.moment ? { at: rollout.moment[0], label: `worst moment ${momentText(rollout.moment)}` } : undefined;
+  const spec = {
+    height: 190, x: "time (s)", y: { label: withUnit(short(column.name, 40), column.unit) }, legend: false,
+    series: [{ label: short(rollout.key, 60), colour: "red", width: 2.5 }],
+  };
+  chart(host, spec, [t, values], undefined, { range: [low - border, high + border], levels, stop });
+}
+
+/** Draw the curves of the selected test. */
+function drawCurves(data) {
   const rollouts = data ? drawnRollouts(data) : [];
   const present = new Set();
   const put = (id, of) => {
     const host = document.getElementById(id);
     if (host === null) return;
     present.add(id);
-    drawCurveChart(host, { rollouts, ...of });
+    drawCurveChart(host, { ...of, rollouts });
   };
-  const curveOf = (column) => (rollout) => column.traces.find((each) => curveKey(each) === rollout.key) ?? { t: [], values: [] };
-  const worst = worstScene(report);
-  if (worst?.traces.length) {
-    const column = limitedColumn(worst);
-    const own = drawnRollouts(worst).filter((each) => each.worst);
-    put("worst-curve", { rollouts: own, name: short(column.name, 40), label: withUnit(column.name, column.unit), unit: column.unit, curve: curveOf(column), limits: column.limits, height: 190, marks: () => false });
-  }
   columnsOf(data ?? { traces: [], further: [], limits: [], limit_columns: [] }).forEach((column, k) => {
-    const curve = curveOf(column);
+    const curve = (rollout) => column.traces.find((each) => curveKey(each) === rollout.key) ?? { t: [], values: [] };
     put(`curves-${k}`, { name: short(column.name, 40), label: withUnit(column.name, column.unit), unit: column.unit, curve, limits: column.limits, height: 250, marks: (rollout) => rollout.columns.includes(column.name) });
   });
   if (data?.margin_of) {
