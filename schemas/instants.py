@@ -149,7 +149,10 @@ def _uncovered(stamps: bytes, horizon: float) -> str | None:
             "subtract the time at the start" if first > horizon > 0.0 else "begin with the state at the start"
         )
     if last == 0.0 and horizon > around[-1]:
-        return f"the rollout is one sample at 0 s, and the horizon is {horizon:.9g} s: remove `horizon` from the file"
+        return (
+            f"the rollout is one sample at 0 s, and the horizon is {horizon:.9g} s: where rollouts last, give "
+            "one of at least a step; where they are one sample, remove `horizon` from the file"
+        )
     end, there = apart(horizon, last)
     if last > horizon + around[-1]:
         milliseconds = horizon > 0.0 and abs(last / 1000.0 - horizon) <= horizon / SAMPLES

@@ -5,14 +5,14 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from .base import Model, digest
 from .errors import DefinitionError
 from .file.disturbance import MAX_DISTURBANCES, Disturbance
 from .file.signals import SignalShape
 from .ranges import MAX_FILE_BYTES, SEED_BITS, FileBytes, Magnitude, Seconds, SeedBits
-from .values import Stamps
+from .values import FORMULA_WORDS, Stamps
 from .written import Written
 
 SCORED = "sd"
@@ -64,6 +64,13 @@ class Column(Model, metaclass=Written):
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
     unit: str
+
+    @field_validator("name")
+    @classmethod
+    def _can_be_named(cls, name: str) -> str:
+        if name in FORMULA_WORDS:
+            raise ValueError(f"{name!r} is a word of specifications; choose another name for the column")
+        return name
 
 
 class Option(Model, metaclass=Written):

@@ -13,6 +13,8 @@ Stamps = Literal["exact", "float32", "accumulated"]
 SampledQuantity = Literal["failure_probability", "quantile", "cvar", "mean", "risk", "share_of_starts", "next_rollout"]
 """The subject of a claim about drawn starts."""
 DistributionName = Literal["uniform", "normal", "lognormal", "triangular", "weibull"]
+FORMULA_WORDS = frozenset({"not", "always", "eventually", "until", "until_from", "and", "or", "implies", "abs", "inf"})
+"""Words of specifications, which name no column."""
 StoppedBy = Literal["converged", "budget", "refuted", "counterexample"]
 
 

@@ -80,6 +80,8 @@ def constants_of(
 
 def _numbers(key: str, given: Mapping[str, object], known: Iterable[str]) -> dict[str, float]:
     names, found = list(known), dict[str, float]()
+    if not isinstance(given, Mapping):
+        raise EvidenceError(f"{key}: {type(given).__name__} is no dict; give {{name: number}}")
     for name, value in given.items():
         if name not in names:
             raise EvidenceError(f"{key}: {name!r} is none of {', '.join(names) or 'the rig, which declares none'}")

@@ -4,10 +4,12 @@ import csv
 import hashlib
 import io
 import math
+import re
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -39,6 +41,8 @@ LOG, OFFSET = "log", "offset"
 """Titles of the starts beside those of the parameters."""
 LOG_SUFFIXES = frozenset({".csv", ".parquet", ".mat", ".mcap", ".bag", ".db3"})
 CHUNK = 2**20
+TITLE_UNIT = re.compile(r"\s*(\([^()]*\)|\[[^\[\]]*\])\s*$")
+"""A unit in brackets behind a title."""
 MOST_NAMED = 20
 """Faults of starts that a message lists."""
 
@@ -69,7 +73,7 @@ def import_logs(campaign: Path, folder: Path, starts: Path, directory: Path | No
         )
     spec = child.system_spec(str(campaign), f"{campaign}: system")
     rows = read_starts(starts, [each.name for each in spec.parameters])
-    tests = list(_recorded(rows, folder, starts, report))
+    tests = list(_recorded(rows, folder, starts, description.horizon, report))
     config = load_campaign(campaign, recorded=tests)  # type: ignore[arg-type]
     check_new(config, spec, str(campaign))
     directory = directory or Path("runs") / config.name
@@ -101,13 +105,19 @@ def read_starts(path: Path, names: Sequence[str]) -> list[Start]:
         raise CampaignError(f"--starts: {path}: not UTF-8; save it as UTF-8") from None
     except csv.Error as error:
         raise CampaignError(f"--starts: {path}: not CSV: {error}") from None
-    titles = [title.strip() for title in head]
+    titles = [TITLE_UNIT.sub("", title).strip() for title in head]
     places = {name: titles.index(name) for name in (LOG, *names, OFFSET) if name in titles}
     missing = [name for name in (LOG, *names) if name not in places]
+    if unknown := [title for title in titles if title not in places and not missing]:
+        raise CampaignError(
+            f"--starts: {path}: {unknown[0][:80]!r} is no parameter of [space]; remove this column; it may have "
+            f"{_titles(names)},{OFFSET}"
+        )
     if missing or len(set(titles)) < len(titles):
         fault = f"without {missing[0]!r}" if missing else "with one title twice"
         raise CampaignError(
-            f"--starts: {path}: its first line is {','.join(titles)[:120]!r}, {fault}; give {_titles(names)}"
+            f"--starts: {path}: its first line is {','.join(titles)[:120]!r}, {fault}; give "
+            f"{_titles(names)}, with commas between them"
         )
     if not 0 < len(rows) <= MAX_LOGS:
         raise CampaignError(f"--starts: {path}: {len(rows):,} rows; allowed are 1 to {MAX_LOGS:,}, one for each log")
@@ -144,7 +154,9 @@ def _start(row: Sequence[str], places: dict[str, int], names: Sequence[str], wid
     return Start(log, {name: numbers[name] for name in names}, numbers.get(OFFSET))
 
 
-def _recorded(rows: Sequence[Start], folder: Path, starts: Path, report: Report) -> Iterator[dict[str, object]]:
+def _recorded(
+    rows: Sequence[Start], folder: Path, starts: Path, horizon: float, report: Report
+) -> Iterator[dict[str, object]]:
     """Yield the tests of a campaign; refuse a log that is missing, that is there twice, or that has no row."""
     named = {row.log.rstrip("/") for row in rows}
     faults = [
@@ -175,8 +187,25 @@ def _recorded(rows: Sequence[Start], folder: Path, starts: Path, report: Report)
         seen[key] = row.log
         offset = {} if row.offset is None else {"offset": row.offset}
         yield {"log": row.log, "sha256": digests[row.log], "start": row.start, **offset}
+    faults += _overlapping(rows, digests, horizon, folder)
     if faults:
         raise PerfboundError(*_first(faults, "logs"))
+
+
+def _overlapping(rows: Sequence[Start], digests: Mapping[str, str], horizon: float, folder: Path) -> Iterator[str]:
+    """Yield the tests that share a part of one log: they are no samples of their own."""
+    by_log: dict[str, list[Start]] = {}
+    for row in rows:
+        by_log.setdefault(digests[row.log], []).append(row)
+    for tests in by_log.values():
+        ordered = sorted(tests, key=lambda row: row.offset or 0.0)
+        for one, other in pairwise(ordered):
+            apart = (other.offset or 0.0) - (one.offset or 0.0)
+            if 0.0 < apart < horizon * (1.0 - 1e-9):
+                yield (
+                    f"{folder / other.log}: the tests at {one.offset:g} and {other.offset:g} s overlap, since each "
+                    f"lasts {horizon:g} s: what they share would count twice"
+                )
 
 
 def _logs_below(folder: Path) -> list[str]:

@@ -49,7 +49,7 @@ class Rig:
     def choice(self) -> dict[str, Any]:
         """Its keys of `[system]` in a campaign file."""
         keys: dict[str, Any] = {"rig": self.name, "columns": dict(self.columns), "noisy": self.noisy}
-        keys |= {"step": self.step, "after_end": self.after_end, "tolerance": self.tolerance and dict(self.tolerance)}
+        keys |= {"step": self.step, "after_end": self.after_end, "tolerance": self.tolerance}
         laws = {key: law.model_dump(mode="json", exclude_defaults=True) for key, law in (self.reported or {}).items()}
         keys |= {"stamps": None if self.stamps == "exact" else self.stamps, "reported": laws or None}
         return {key: value for key, value in keys.items() if value is not None}

@@ -161,7 +161,8 @@ def _with_ends(value: Any) -> Any:
         return {"low": value[0], "high": value[1]}
     if isinstance(value, Mapping) and "choices" in value:
         given = value["choices"]
-        numbers = [each for each in given if isinstance(each, int | float)] if isinstance(given, list) else []
+        listed_values = given if isinstance(given, list) else []
+        numbers = [each for each in listed_values if isinstance(each, int | float) and not isinstance(each, bool)]
         # Of choices that are none any ends: their own fault is the one to report.
         return {"low": min(numbers, default=0), "high": max(numbers, default=1), **value}
     return value

@@ -49,6 +49,8 @@ _WORDS = {
     ("space", "table"): f"the name of a CSV file with 1 to {MAX_TABLE:,} rows, or its rows",
     ("system", "program"): 'a list of texts: ["./NAME", "ARGUMENT"]',
     ("system", "policy"): "FILE.py:NAME, or FILE.zip:PPO, a model of Stable-Baselines3 and its algorithm",
+    ("system", "controller"): "FILE.py:NAME, a function of the model and its data",
+    ("system", "tolerance"): "a table with a number for a parameter: { speed = 0.2 }",
     ("system", "files"): 'a list of paths: ["policy.pt", "tables/*.csv"]',
     ("system", "columns"): 'a table with the unit of every column in quotes: { distance = "m" }',
     ("system", "noisy"): "true, false, or a list of variants",
@@ -181,6 +183,8 @@ def _describe(fault: Any, key: str, one_problem: bool) -> str:
     shown = "a table" if isinstance(value, dict) else repr(value)[:80]
     below = len(location) == 2 and location[0] == "space" and location[1] in OF_PROBLEM | OF_CAMPAIGN
     hint = f"; if it is the key `{location[1]}` of the campaign, put it above the first [table]" if below else ""
+    if isinstance(value, bool) and "number" in allowed_text:
+        hint = "; write 1 for true, 0 for false"
     return f"{key}: {shown} is not allowed: allowed is {allowed_text}{hint}"
 
 

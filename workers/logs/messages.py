@@ -164,6 +164,8 @@ class _opened:  # noqa: N801  (used as a function)
     def __enter__(self) -> _Log:
         if self._path.suffix.lower() == ".mcap" and not self._path.is_dir():
             return _mcap(self._path)
+        if self._path.is_dir() and not (self._path / "metadata.yaml").exists():
+            raise EvidenceError(f"{self._path}: a folder without metadata.yaml, and so no rosbag2; name a log")
         from rosbags.highlevel import AnyReader  # noqa: PLC0415  (an extra)
         from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
 

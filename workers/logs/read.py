@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ...schemas.errors import EvidenceError, PerfboundError, UnusableTrajectoryError
 from ...schemas.file.logs import LogMapping
+from ...schemas.instants import ends_early
 from ...schemas.system import SystemSpec
 from ...schemas.trajectory.trajectory import Trajectory
 from ..faults import NOT_OF_SYSTEMS, fault_text
@@ -24,6 +25,8 @@ from .tables import READERS, TIME, read_table
 Floats = NDArray[np.float64]
 GAP = 10.0
 """Medians of the steps of a log."""
+ULPS = 4
+"""Units in the last place of a time, by which a product and a decimal number of the same time may differ."""
 SLACK = 1e-9
 """Relative; of times that were computed with a rounding."""
 FORMS = ("CSV", "Parquet", "MAT", "MCAP", "bag", "folder of rosbag2")
@@ -106,6 +109,8 @@ class LogReader:
     def _in_unit(self, path: Path, name: str, signal: Signal, begin: float, horizon: float) -> Signal:
         """Return a signal in its unit with the time of the rollout, as far as the rollout needs it."""
         times, values = signal.times - begin, signal.values * self._mapping.factors.get(name, 1.0)
+        # Both numbers were rounded: a stamp that is the offset is at the begin.
+        times[np.abs(times) <= ULPS * float(np.spacing(abs(begin)))] = 0.0
         _check_order(path, name, signal.times)
         # One sample before and one behind, for values between them.
         first = max(int(np.searchsorted(times, 0.0, side="right")) - 1, 0)
@@ -115,6 +120,8 @@ class LogReader:
                 f"{path}: {name} ends at {signal.times[-1]:.10g} s, before the rollout begins, at {begin:.10g} s of "
                 f'this log; give offset = "first" under [system.logs]'
             )
+        if len(times) > 1 and np.count_nonzero((times >= 0.0) & (times <= horizon * (1.0 + SLACK))) < 2:
+            raise UnusableTrajectoryError(f"{path}: {_too_slow(name, signal.times, horizon)}")
         times, values = times[first:last], values[first:last]
         _check_finite(path, name, times + begin, values)
         self._check_gaps(path, name, times, begin)
@@ -153,15 +160,23 @@ class LogReader:
                     f"{path}: {name} has other sample times than {next(iter(signals))}; give the s between two samples "
                     "of the rollout, resample = 0.01, under [system.logs]"
                 )
+        self._check_end(path, first.times, horizon)
         inside = (first.times >= 0.0) & (first.times <= horizon * (1.0 + SLACK))
         times = first.times[inside]
         if not times.size or times[0] > 0.0:
             start = first.times[0] if not times.size else times[0]
             raise UnusableTrajectoryError(
                 f"{path}: its first sample is {start:.6g} s after the begin of the rollout; give offset = "
-                '"first", or resample, under [system.logs]'
+                '"first", the offset of a sample, or resample, under [system.logs]'
             )
         return times, {name: signal.values[inside] for name, signal in signals.items()}
+
+    def _check_end(self, path: Path, times: Floats, horizon: float) -> None:
+        if self._spec.after_end is None and ends_early(times[times <= horizon * (1.0 + SLACK)], horizon):
+            raise UnusableTrajectoryError(
+                f"{path}: it ends {times[-1]:.6g} s after the begin of the rollout, and the horizon is {horizon:g} s; "
+                "give a horizon that every log has, or system.after_end, which says what an early end means"
+            )
 
     def _grid(self, signals: Mapping[str, Signal], step: float, horizon: float) -> Floats:
         """Return the times of the samples; of a system whose rollouts may end early those that all columns reach."""
@@ -200,6 +215,17 @@ def _resampled(
             places = np.searchsorted(own, times + SLACK * np.maximum(1.0, times), side="right") - 1
             found[name] = values[np.maximum(places, 0)]
     return times, found
+
+
+def _too_slow(name: str, times: Floats, horizon: float) -> str:
+    """Return why a log of many samples has one of the rollout."""
+    span = f"{len(times):,} samples of {name} over {times[-1] - times[0]:.6g} s"
+    if not horizon:
+        return f"it has {span}, and the campaign no horizon; give horizon = {times[-1] - times[0]:.6g}, or less"
+    has = f"it has {span}, of which the horizon of {horizon:g} s has at most one"
+    if float(np.median(np.diff(times))) < horizon:
+        return f'{has}: they begin at {times[0]:.6g} s; give offset = "first" under [system.logs]'
+    return f"{has}: if its time is in another unit, give logs.factors = {{ t = 0.001 }} under [system]"
 
 
 def _check_order(path: Path, name: str, times: Floats) -> None:

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -55,6 +56,9 @@ def _places(
             if column == TIME and mapping.time is None:
                 continue
             near = meant(title, [name for name, _ in names])
+            other = next((sign for sign in (";", "\t", ",") if len(titles) == 1 and sign in titles[0]), None)
+            if other is not None:
+                near = f"give delimiter = {json.dumps(other)} under [system.logs]; "
             raise EvidenceError(
                 f"{path}: there is no column {title!r}; {near}it has {shortened(', '.join(titles), 200) or 'none'}"
             )
@@ -110,7 +114,9 @@ def _csv(path: Path, mapping: LogMapping, titles: Sequence[str]) -> tuple[Sequen
     head = rows.pop(0)
     for number, row in zip(lines[1:], rows, strict=True):
         if len(row) != len(head):
-            raise EvidenceError(f"{path}: line {number} has {len(row)} cells, and the first line {len(head)}")
+            other = next((sign for sign in (";", "\t") if sign in head[0]), None)
+            hint = f"; give delimiter = {json.dumps(other)} under [system.logs]" if other else ""
+            raise EvidenceError(f"{path}: line {number} has {len(row)} cells, and the first line {len(head)}{hint}")
 
     def numbers(place: int, title: str) -> Floats:
         found = np.empty(len(rows))
@@ -119,7 +125,8 @@ def _csv(path: Path, mapping: LogMapping, titles: Sequence[str]) -> tuple[Sequen
             try:
                 found[k] = number_in(cell)
             except ValueError as error:
-                raise EvidenceError(f"{path}: line {lines[k + 1]}: {title}: {error}") from None
+                hint = '; give decimal = "," under [system.logs]' if re.fullmatch(r"\s*-?\d+,\d+\s*", cell) else ""
+                raise EvidenceError(f"{path}: line {lines[k + 1]}: {title}: {error}{hint}") from None
         return found
 
     return head, numbers

@@ -1,6 +1,7 @@
 """The logs of the tests of a campaign, each as the file of its rollout."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import cast
 
@@ -24,7 +25,8 @@ def write_tests(system: str, tests: Path, out: Path) -> list[str]:
     """
     rig = cast(DescribedRig, load_system(system))
     reader = LogReader(rig.spec, rig.mapping, rig.step)
-    faults: list[str] = []
+    faults: dict[str, list[str]] = {}
+    """What is wrong -> the logs of which it is."""
     for number, line in enumerate(tests.read_text().splitlines()):
         asked = json.loads(line)
         request = RolloutRequest.model_validate_json(canonical_json(asked["request"]))
@@ -37,7 +39,15 @@ def write_tests(system: str, tests: Path, out: Path) -> list[str]:
                 raise PerfboundError(f"{log}: {fault}")
             (out / f"{number}.mcap").write_bytes(file_of(trajectory, request, rig.spec))
         except PerfboundError as error:
-            faults.append(str(error))
+            text = str(error)
+            what = text.removeprefix(f"{log}: ")
+            faults.setdefault(what if what != text else text, []).append(str(log))
             (out / f"{number}.fault").touch()
-    more = len(faults) - MOST
-    return [*faults[:MOST], *([f"and {more:,} further logs"] if more > 0 else [])]
+    lines = [_line(what, logs) for what, logs in faults.items()]
+    more = len(lines) - MOST
+    return [*lines[:MOST], *([f"and {more:,} further faults"] if more > 0 else [])]
+
+
+def _line(what: str, logs: Sequence[str]) -> str:
+    others = f" and {len(logs) - 1:,} further logs" if len(logs) > 1 else ""
+    return f"{logs[0]}{others}: {what}"

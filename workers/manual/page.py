@@ -78,7 +78,7 @@ class DeskPage:
 
     async def _log(self, request: Request) -> Response:
         """Take a log: as the body of the request, or the path of a file or a folder on this machine."""
-        given = json.loads(request.query_params.get("given", "{}"))
+        given = _given(request)
         key, path = str(given.get("key", "")), str(given.get("path", "")).strip()
         if path:
             log = Path(path).expanduser()
@@ -98,7 +98,9 @@ class DeskPage:
         if not re.fullmatch("[0-9a-f]{14}", key):
             raise EvidenceError("this request was withdrawn; load the page again")
         self._desk.folder.mkdir(parents=True, exist_ok=True)
-        log = self._desk.folder / f"{key}-{SAFE.sub('_', Path(name).name)[-80:] or 'log.csv'}"
+        safe = SAFE.sub("_", Path(name).name)[-80:] or "log.csv"
+        # A name of its own for each: what was handed in before stays what it was.
+        log = self._desk.folder / f"{key}-{secrets.token_hex(3)}-{safe}"
         size, part = 0, log.with_name(f"{log.name}.partial")
         try:
             with part.open("wb") as file:
@@ -114,9 +116,16 @@ class DeskPage:
         return log
 
     async def _failed(self, request: Request) -> Response:
-        given = json.loads(request.query_params.get("given", "{}"))
+        given = _given(request)
         self._desk.fail(str(given.get("key", "")), str(given.get("reason", "")))
         return JSONResponse({}, headers=HEADERS)
+
+
+def _given(request: Request) -> dict[str, Any]:
+    found = json.loads(request.query_params.get("given", "{}"))
+    if not isinstance(found, dict):
+        raise EvidenceError("given: a table is wanted, as the page sends it")
+    return found
 
 
 def _numbers(given: Any) -> dict[str, object]:

@@ -278,7 +278,13 @@ def load_environment(file: Path, config: CampaignConfig) -> SystemUnderTest:
     parameters = tuple(space_parameters(config, where))
     environment = Environment(env, policy, [each.name for each in parameters], where)
     check_whole(environment.whole, config, where, "environment")
-    step = choice.step or _step_of(env.unwrapped)
+    says = _step_of(env.unwrapped)
+    if choice.step and says and abs(choice.step - says[0]) > 1e-9 * says[0]:
+        raise DefinitionError(
+            f"{where}: system.step: {environment_id} says itself that a step lasts {says[0]:g} s ({says[1]}), not "
+            f"{choice.step:g} s; remove this key"
+        )
+    step = says[0] if says else choice.step
     if step is None:
         raise DefinitionError(
             f"{where}: system.step: {environment_id} does not say how long a step is; give its s, or step = 1.0 to "
@@ -365,13 +371,14 @@ def _numbers(space: Any, observation: Any) -> Iterator[float]:
         yield from np.asarray(observation, dtype=np.float64).ravel().tolist()
 
 
-def _step_of(base: Any) -> float | None:
-    """Return the seconds of a step, where an environment says them."""
+def _step_of(base: Any) -> tuple[float, str] | None:
+    """Return the seconds of a step, and where an environment says them; None where it does not."""
     for name in ("dt", "tau"):
         if _is_number(value := getattr(base, name, None)) and float(value) > 0.0:
-            return float(value)
-    frequency = _config(base).get("policy_frequency")
-    return 1.0 / float(frequency) if _is_number(frequency) and float(frequency) > 0.0 else None
+            return float(value), name
+    name = "policy_frequency"
+    frequency = _config(base).get(name)
+    return (1.0 / float(frequency), name) if _is_number(frequency) and float(frequency) > 0.0 else None
 
 
 def _config(base: Any) -> Mapping[str, Any]:

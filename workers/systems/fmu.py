@@ -270,7 +270,8 @@ def load_fmu(file: Path, config: CampaignConfig) -> SystemUnderTest:
         raise DefinitionError(f"{where}: system.fmu: pip install 'perfbound[fmu]'") from None
     place = f"{where}: system.fmu: {choice.fmu}"
     if not path.is_file():
-        raise DefinitionError(f"{place}: there is no such file in {folder}")
+        what = "is a folder; name the file in it" if path.is_dir() else f"there is no such file in {folder}"
+        raise DefinitionError(f"{place}: {what}")
     if not zipfile.is_zipfile(path):
         raise DefinitionError(f"{place}: this file is no FMU, which is a zip archive")
     with placed(f"{where}: system"):

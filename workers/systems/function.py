@@ -117,6 +117,8 @@ def as_trajectory(returned: object, columns: tuple[str, ...], step: float | None
     """
     if isinstance(returned, Trajectory):
         return returned
+    if returned is None:
+        raise SimulationError(f"the function returned None; end it with `return {listed_names(columns[1:])}`")
     samples = as_samples(returned, columns, step)
     try:
         return Trajectory(columns, samples)
@@ -159,7 +161,10 @@ def _by_name(returned: object, names: tuple[str, ...]) -> dict[str, Floats]:
         return {name: _samples_of(value, name, 1) for name, value in zip(names, returned, strict=True)}
     array = _samples_of(returned, "the returned value", 2, width=len(names))
     if array.shape[1] != len(names):
-        raise SimulationError(f"the function returned an array {array.shape}, its columns are {listed_names(names)}")
+        turned = "; return its transpose" if array.shape[0] == len(names) else ""
+        raise SimulationError(
+            f"the function returned an array {array.shape}, its columns are {listed_names(names)}{turned}"
+        )
     return {name: array[:, k] for k, name in enumerate(names)}
 
 

@@ -205,9 +205,11 @@ class MjcfSystem(DescribedSystem):
         if returned is not None:
             values = np.asarray(returned)
             if values.dtype.kind not in "fiub" or values.size != data.ctrl.size:
+                numeric = values.dtype.kind in "fiub"
+                given = f"{values.size} numbers" if numeric else shortened(repr(returned))
                 raise SimulationError(
-                    f"{policy.path.name} returned {shortened(repr(returned))} at t = {data.time:g} s, and not a number "
-                    f"for each of the {data.ctrl.size} actuators"
+                    f"{policy.path.name} returned {given} at t = {data.time:g} s, and not a number for each of the "
+                    f"{data.ctrl.size} actuators"
                 )
             data.ctrl[:] = values.ravel()
         if not np.isfinite(data.ctrl).all():
@@ -232,7 +234,8 @@ def load_mjcf(file: Path, config: CampaignConfig) -> SystemUnderTest:
         raise DefinitionError(f"{where}: system.mjcf: pip install 'perfbound[mujoco]'") from None
     place = f"{where}: system.mjcf: {choice.mjcf}"
     if not path.is_file():
-        raise DefinitionError(f"{place}: there is no such file in {folder}")
+        what = "is a folder; name the file in it" if path.is_dir() else f"there is no such file in {folder}"
+        raise DefinitionError(f"{place}: {what}")
     listen(mujoco)
     with blaming(place):
         # All that it consists of: included models, meshes, textures.

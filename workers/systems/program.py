@@ -313,6 +313,7 @@ def load_program(file: Path, config: CampaignConfig) -> ProgramSystem:
             options=tuple(option_of(name, value) for name, value in sorted(choice.options.items())),
             variants=variants,
             noisy=tuple(each for each in variants if each in noisy),
+            timed=choice.step is not None,
             max_horizon=MAX_HORIZON,
             default_horizon=config.horizon,
             disturbances=laws,

@@ -25,6 +25,7 @@ import math
 from collections.abc import Callable, Collection
 from typing import cast
 
+from ....schemas.values import FORMULA_WORDS
 from .cursor import Cursor
 from .errors import FormulaError
 from .shorthand import spelled_out
@@ -57,7 +58,6 @@ from .tree import (
 __all__ = ["Formula", "FormulaError", "columns", "parse_formula"]
 
 _UNTIL: dict[str, Reading] = {"until": "standard", "until_from": "paper"}
-_RESERVED = {"not", "always", "eventually", *_UNTIL, "and", "or", "implies", "abs", "inf"}
 _BEGINNINGS = {"always", "eventually"}
 _BETWEEN = {*_UNTIL, "and", "or", "implies"}
 _OPERATORS = ("always", "eventually", *_UNTIL, "not", "and", "or", "implies")
@@ -206,7 +206,7 @@ class _Grammar:
             return Absolute(_as_expression(self._cursor, self._parenthesis(), token))
         if token.text == "(":
             return self._parenthesis()
-        if token.kind == "word" and token.text not in _RESERVED:
+        if token.kind == "word" and token.text not in FORMULA_WORDS:
             return _column(self._cursor, self._known)
         raise self._cursor.error(_unexpected(token))
 
@@ -282,7 +282,7 @@ def _column(cursor: Cursor, known: Collection[str] | None) -> Column:
     name, after = cursor.token.text, cursor.after
     is_column = known is not None and name in known
     if after.text == "(":
-        raise cursor.error(f"unknown function {name!r}; {_meant(name, _RESERVED)}the only function is abs")
+        raise cursor.error(f"unknown function {name!r}; {_meant(name, FORMULA_WORDS)}the only function is abs")
     # Behind a column comes an operator: what stands before a phrase of its own is one that does not exist.
     if not is_column and after.kind == "word" and after.text not in _BETWEEN:
         raise cursor.error(
@@ -309,7 +309,7 @@ def _unexpected(token: FormulaToken) -> str:
         return "an interval [a,b] or [a,inf) is written right after always, eventually or until"
     if token.kind == "end":
         return "the formula is not complete"
-    hint = _meant(token.text, _RESERVED) if token.kind == "word" and token.text not in _RESERVED else ""
+    hint = _meant(token.text, FORMULA_WORDS) if token.kind == "word" and token.text not in FORMULA_WORDS else ""
     return f"unexpected {token.text!r}{hint and '; ' + hint.strip()}"
 
 

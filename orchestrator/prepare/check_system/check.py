@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from ....schemas.errors import PerfboundError, Stopped, TrajectoryError
+from ....schemas.errors import CampaignError, PerfboundError, Stopped, TrajectoryError
 from ....schemas.file.against_system import as_in_campaign, check_against, searched
 from ....schemas.rollout import RolloutRequest
 from ....schemas.system import SystemSpec, Variant
@@ -106,7 +106,10 @@ def checked_system(
     program = config is not None and config.system.program is not None
     folder = ("--folder", str(Path(reference).absolute().parent)) if program else ()
     # A file that describes a system alone has no specification yet.
-    margins = SeenMargins(config, spec) if config is not None and config.formula != "" else None
+    try:
+        margins = SeenMargins(config, spec) if config is not None and config.formula != "" else None
+    except ValueError as error:  # a formula that is none, or about other columns
+        raise CampaignError(f"{reference}: specification: {error}") from None
     rolled_at_once = partial(
         _in_children, arguments=(*system_options(reference), *folder), limit=limit, report=report, margins=margins
     )

@@ -136,10 +136,10 @@ function fileLink(path) {
   return href === null ? name : el("a", { href, download: true }, name);
 }
 
-/** A command with a button that copies it. */
+/** A command with a button that copies it; that of a report is for the folder in which the report lies. */
 function commandLine(command) {
   if (!command) return "";
-  return el("div.command", el("code", visible(command)), el("button.copy", { "data-copy": command }, "Copy"));
+  return el("div.command", el("code", visible(command)), el("button.copy", { "data-copy": command }, "Copy"), document.body.dataset.live ? null : el("span.muted", "in the folder of this report"));
 }
 
 /** Copy the text of a button and show the result on it. */

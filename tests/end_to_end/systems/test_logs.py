@@ -143,6 +143,28 @@ def test_a_test_that_has_no_row_is_refused(own: Path) -> None:
         assert "space.gap: test 1, 000.csv, was driven from 4, outside [5, 50]" in outside
 
 
+def test_logs_without_a_horizon_are_refused_in_one_line(own: Path) -> None:
+    """Else the first sample of each would be all that is judged."""
+    (own / "csv.toml").write_text((own / "csv.toml").read_text().replace("horizon = 8.0\n", ""))
+    with processes(own / "p") as started:
+        started.folder = own
+        fault = started.run("perfbound", *import_command("csv")).fault
+    assert "000.csv and 199 further logs: it has 161 samples of distance over 8 s, and the campaign no horizon" in fault
+    assert not (own / "runs").exists()
+
+
+def test_tests_that_share_a_part_of_a_log_are_refused(own: Path) -> None:
+    rows = ["log,gap,speed,offset", "000.csv,20,20,0", "000.csv,21,20,3.5", "000.csv,22,20,7.5"]
+    (own / "few.csv").write_text("\n".join(rows))
+    (own / "one").mkdir()
+    (own / "one" / "000.csv").symlink_to(own / "csv" / "000.csv")
+    (own / "csv.toml").write_text((own / "csv.toml").read_text().replace("horizon = 8.0", "horizon = 4.0"))
+    with processes(own / "p") as started:
+        started.folder = own
+        fault = started.run("perfbound", "import", "one", "--starts", "few.csv", "--campaign", "csv.toml").fault
+    assert "one/000.csv: the tests at 0 and 3.5 s overlap, since each lasts 4 s" in fault
+
+
 def test_an_import_that_is_killed_continues(simulated: Path, own: Path) -> None:
     database = own / "runs" / "csv" / "campaign.db"
 

@@ -112,7 +112,7 @@ def test_a_rig_is_driven_by_hand_through_restarts(started: Processes) -> None:
     words = [
         "1 from the",
         "no column 'force'",
-        "the last row",
+        "it ends",
         "choose the log",
         "withdrawn",
         "No such file",
@@ -122,6 +122,9 @@ def test_a_rig_is_driven_by_hand_through_restarts(started: Processes) -> None:
     assert hand.trial()["key"] == trial["key"]
     assert not list((started.folder / "logs").glob("*")), "nothing is kept of what was refused"
     assert not hand.post("log", body, key=trial["key"], name="a.csv", start=near)
+    # From a second window: what was handed in before is untouched.
+    assert "withdrawn" in hand.post("log", body, key=trial["key"], name="a.csv", start=near)
+    assert len(list((started.folder / "logs").glob("*-a.csv"))) == 1
 
     given_up = hand.trial(after=trial["key"])["key"]
     os.kill(first.pid, signal.SIGKILL)

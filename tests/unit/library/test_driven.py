@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import perfbound as pb
-from perfbound.schemas.errors import CampaignError, PerfboundError
+from perfbound.schemas.errors import CampaignError, DefinitionError, PerfboundError
 from tests.unit.library.test_study import KEYS, T, curve, finish, rig
 
 SAMPLED = {
@@ -47,10 +47,11 @@ def test_the_start_that_was_driven_is_the_record(tmp_path: Path) -> None:
         ({"x": float("nan")}, "start: x"),
         ({"x": "here"}, "start: x"),
         ({"y": 0.5}, "start: 'y' is none of x"),
+        ([0.5], "start: list is no dict"),
     ],
 )
 def test_a_start_that_does_not_count_is_refused_and_the_request_stays_open(
-    tmp_path: Path, given: dict[str, Any], words: str
+    tmp_path: Path, given: Any, words: str
 ) -> None:
     with told(tmp_path) as study:
         request = study.ask()
@@ -63,6 +64,11 @@ def test_a_start_that_does_not_count_is_refused_and_the_request_stays_open(
 def test_a_start_needs_a_tolerance(tmp_path: Path) -> None:
     with told(tmp_path, rig()) as study, pytest.raises(PerfboundError, match="the rig has no tolerance"):
         study.tell(study.ask(), curve(study.ask()), start={"x": 0.5})
+
+
+def test_a_tolerance_that_is_none_is_refused() -> None:
+    with pytest.raises(DefinitionError, match="rig 'rig': tolerance: "):
+        rig(tolerance=0.2)
 
 
 def test_disturbances_that_were_measured_are_columns(tmp_path: Path) -> None:

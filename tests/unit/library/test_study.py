@@ -278,7 +278,7 @@ def test_a_rig_is_not_run_and_not_rechecked(tmp_path: Path) -> None:
     campaign.ask_tell(tmp_path / "run").close()
     with pytest.raises(CampaignError, match="no simulator makes the rollouts"):
         pb.resume(tmp_path / "run")
-    with pytest.raises(DefinitionError, match="rig 'A rig': name: "):
+    with pytest.raises(DefinitionError, match="rig 'A rig': rig: "):
         pb.Rig("A rig", parameters={}, columns={})
 
 

@@ -54,7 +54,7 @@ def check(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[SystemCheck, l
             return ChildRun(trials=tuple(trials), loaded=Measured(), measured=found, ended=ended, hung=bool(ended))
 
         monkeypatch.setattr(system_check, "measure_in_children", measured)
-        monkeypatch.setattr(system_check, "system_spec", lambda *_: SPEC)
+        monkeypatch.setattr(system_check, "simulated_spec", lambda *_: SPEC)
         monkeypatch.setattr(system_check, "system_options", lambda _: [])
         monkeypatch.setattr(system_check, "named_campaign", lambda _: parse_campaign(text.encode(), "c.toml"))
         found = checked_system(

@@ -21,7 +21,7 @@ LONG = test_sizes.parsed(test_sizes.table("rigorous", 4, resolution=17))
 
 
 def test_a_plan_refuses_before_its_pilot_what_a_run_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(plan, "system_spec", lambda *_: TestFunctionSystem().spec)
+    monkeypatch.setattr(plan, "simulated_spec", lambda *_: TestFunctionSystem().spec)
     hiding = a_pair("rigorous").model_copy(update={"clip": (0.0, 1.0)})
     with pytest.raises(CampaignError, match=r"c\.toml: clip: its lower end 0 hides violations"):
         plan.plan_campaign(hiding, Path("c.toml"), 1)

@@ -31,6 +31,7 @@ DECIDE = {
         "problems",
         "recheck",
         "regions",
+        "recorded",
         "replicates",
         "resolution",
         "risk_weight",

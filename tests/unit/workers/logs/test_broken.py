@@ -66,7 +66,12 @@ BROKEN: dict[str, tuple[Write, Mapping[str, Any], str]] = {
     "a gap": (csv(t=T + 0.6 * (T > 0.5)), {}, "distance has no sample for 0.65 s after 0.5 s; allowed are 0.5 s"),
     "not a number": (csv(distance=with_value(13, np.nan)), {}, "distance is nan at 0.65 s"),
     "infinite": (csv(speed=with_value(13, -np.inf, V)), {}, "speed is -inf at 0.65 s"),
-    "another base time": (csv(t=T + 1.7e9), {}, "its first sample is 1.7e+09 s after the begin of the rollout; give"),
+    "another base time": (
+        csv(t=T + 1.7e9),
+        {},
+        "they begin at 1.7e+09 s; give offset =",
+    ),
+    "milliseconds": (csv(t=T * 1000), {}, "if its time is in another unit, give logs.factors = { t = 0.001 }"),
     "before its begin": (csv(), {"offset": 60.0}, "ends at 2 s, before the rollout begins, at 60 s of this log; give"),
     "another unit": (
         csv(distance=D * 1000),

@@ -110,6 +110,15 @@ def test_the_stamp_of_a_message_is_its_time_where_it_is_named(tmp_path: Path) ->
     assert np.allclose(LogReader(spec, mapping).trajectory(path, 2.0).samples[:, 0], TIMES, atol=1e-9)
 
 
+def test_an_offset_that_is_a_stamp_is_found_whatever_was_rounded(tmp_path: Path) -> None:
+    """71103080 us times 1e-6 is a little less than 71.10308."""
+    stamps = 71_103_080 + np.arange(41) * 50_000
+    path = write_csv(tmp_path / "a.csv", {"t": stamps, "distance": DISTANCE, "speed": SPEED})
+    assert 71_103_080 * 1e-6 < 71.10308
+    found = LogReader(SPEC, LogMapping(factors={"t": 1e-6})).trajectory(path, 2.0, 71.10308)
+    assert found.samples[0].tolist() == [0.0, DISTANCE[0], SPEED[0]]
+
+
 def test_columns_of_unlike_times_are_resampled(tmp_path: Path) -> None:
     """A radar at 20 Hz and an odometer 10 ms later: by a rule that the file names."""
     late = tmp_path / "a.mcap"

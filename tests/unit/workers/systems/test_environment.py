@@ -214,6 +214,12 @@ class Act:
         ("CartPole-v1", "lenght = [0.4, 0.6]", "", r"space: did you mean 'length'\?"),
         ("walk:Walk-v0", "title = [0, 1]", "", r"space: title is an attribute of the environment, and str and no num"),
         ("walk:Walk-v0", "width = [1, 5]", "", r"write width = \{ low = 1, high = 5, step = 1 \}"),
+        (
+            "CartPole-v1",
+            "length = [0.4, 0.6]",
+            "step = 0.05",
+            r"says itself that a step lasts 0.02 s \(tau\), not 0.05",
+        ),
         ("MountainCar-v0", "force = [0.001, 0.002]", "", r"system\.step: MountainCar-v0 does not say how long a step"),
         ("CartPole-v1", "length = [0.4, 0.6]", 'files = ["no.csv"]', "there is no 'no.csv'"),
     ],
