@@ -166,6 +166,14 @@ def test_the_table_names_every_check_and_the_verdict(started: Processes) -> None
     assert rows[-1] == "short, rollouts of 10 s: 15 passed, 1 failed; fix what failed before you run a campaign"
 
 
+def test_a_formula_that_is_none_is_one_line(started: Processes) -> None:
+    (started.folder / "cars.py").write_bytes(CARS.read_bytes())
+    keys = 'specification = "always (distanse >= 2)"\nhorizon = 8\nfalsify = {}\n[system]\npython = "cars.py:cars"\n'
+    (started.folder / "cars.toml").write_text(f"{keys}[space]\ngap = [5, 50]\nspeed = [10, 30]\n")
+    refused = started.run("perfbound", "check-system", "cars.toml").fault
+    assert "cars.toml: specification: character 9: unknown column 'distanse'; did you mean 'distance'?" in refused
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -182,14 +190,6 @@ def test_the_table_names_every_check_and_the_verdict(started: Processes) -> None
         ),
     ],
 )
-def test_a_formula_that_is_none_is_one_line(started: Processes) -> None:
-    (started.folder / "cars.py").write_bytes(CARS.read_bytes())
-    keys = 'specification = "always (distanse >= 2)"\nhorizon = 8\nfalsify = {}\n[system]\npython = "cars.py:cars"\n'
-    (started.folder / "cars.toml").write_text(f"{keys}[space]\ngap = [5, 50]\nspeed = [10, 30]\n")
-    refused = started.run("perfbound", "check-system", "cars.toml").fault
-    assert "cars.toml: specification: character 9: unknown column 'distanse'; did you mean 'distance'?" in refused
-
-
 def test_a_wrong_argument_is_one_line(started: Processes, arguments: tuple[str, ...], words: str) -> None:
     refused = started.run("perfbound", "check-system", *arguments)
     assert refused.code == 1
