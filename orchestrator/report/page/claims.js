@@ -108,18 +108,11 @@ function claimSection(report) {
     verdictCard(report),
     refutation(report),
     counterexample(report),
-    el(
-      "div.beside",
-      el(
-        "div",
-        repeatsTable ? null : el("p.kind", claimHeading(report)),
-        repeatsTable ? null : el("p.claim#claim", sentence(first ? first.sentence : report.now)),
-        formula && el("div.formula", formula),
-        first ? el("p.muted", claimBasis(first, unitText(report.problems[0]?.unit))) : null,
-        first ? first.notes.map((note) => el("p.muted", sentence(note))) : null,
-      ),
-      first ? worstPicture(report) : null,
-    ),
+    repeatsTable ? null : el("p.kind", claimHeading(report)),
+    repeatsTable ? null : el("p.claim#claim", sentence(first ? first.sentence : report.now)),
+    formula && el("div.formula", formula),
+    first ? el("p.muted", claimBasis(first, unitText(report.problems[0]?.unit))) : null,
+    first ? first.notes.map((note) => el("p.muted", sentence(note))) : null,
     report.violations && !report.counterexample && !report.verdict ? el("p", el("a", { href: "#counterexamples" }, `${plural(report.violations, "rollout")} violated the specification.`)) : null,
     others.length ? otherClaims(others) : null,
   );
@@ -166,7 +159,11 @@ function verdictCard(report) {
     { "data-verdict": found.word, "data-rests": found.rests_on ? "" : null },
     el("p.word", found.word, found.rests_on ? el("span.rests", `, rests on ${found.rests_on}`) : null),
     el("p.answer", withTerms(answer)),
-    el("dl.parts", rows.filter(([, value]) => value !== null && value.length !== 0).map(([name, value]) => el("div", el("dt", name), el("dd", value)))),
+    el(
+      "div.beside",
+      el("dl.parts", rows.filter(([, value]) => value !== null && value.length !== 0).map(([name, value]) => el("div", el("dt", name), el("dd", value)))),
+      worstPicture(report),
+    ),
   );
 }
 

@@ -130,7 +130,7 @@ def test_a_grid_finer_than_float32_keeps_its_own_step() -> None:
         ([0.0, 1000.0, 2000.0], "the last row, 2, is at t = 2000 s, and the horizon is 2 s: give seconds, not"),
         ([0.0, 1.0, 1.9], "the last row, 2, is at t = 1.9 s, and the horizon is 2 s, before which it may be by 0.04 s"),
         ([0.0, 1.0, 2.05], "the last row, 2, is at t = 2.05 s, and the horizon is 2 s: end at the horizon"),
-        ([0.0], "one sample at 0 s, and the horizon is 2 s: remove `horizon`"),
+        ([0.0], "one sample at 0 s, and the horizon is 2 s: where rollouts last, give one"),
     ],
 )
 def test_what_does_not_cover_the_horizon_is_named_with_row_stamp_and_remedy(times: list[float], words: str) -> None:
