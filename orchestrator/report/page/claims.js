@@ -113,6 +113,7 @@ function claimSection(report) {
     formula && el("div.formula", formula),
     first ? el("p.muted", claimBasis(first, unitText(report.problems[0]?.unit))) : null,
     first ? first.notes.map((note) => el("p.muted", sentence(note))) : null,
+    first && report.verdict === null ? worstPicture(report) : null, // else it is in the card
     report.violations && !report.counterexample && !report.verdict ? el("p", el("a", { href: "#counterexamples" }, `${plural(report.violations, "rollout")} violated the specification.`)) : null,
     others.length ? otherClaims(others) : null,
   );
