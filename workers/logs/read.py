@@ -20,7 +20,7 @@ from ...schemas.trajectory.trajectory import Trajectory
 from ..faults import NOT_OF_SYSTEMS, fault_text
 from ..handed_in import whole
 from .messages import SECOND, Signal, is_of_messages, read_messages
-from .tables import READERS, TIME, read_table
+from .tables import MAX_LOG, READERS, TIME, read_table
 
 Floats = NDArray[np.float64]
 GAP = 10.0
@@ -83,6 +83,10 @@ class LogReader:
             raise EvidenceError(f"{str(path)!r}: no path of a file")
         if not path.exists():
             raise EvidenceError(f"{path}: No such file or directory")
+        if not path.is_dir() and not path.is_file():
+            raise EvidenceError(f"{path}: not a file")  # a pipe would be waited for
+        if path.is_file() and path.stat().st_size > MAX_LOG:
+            raise EvidenceError(f"{path}: more than {MAX_LOG} bytes; cut it")
         if is_of_messages(path):
             stamp, signals = read_messages(path, self._mapping, tuple(units))
             return _Log(stamp / SECOND, signals)
@@ -121,7 +125,7 @@ class LogReader:
                 f'this log; give offset = "first" under [system.logs]'
             )
         if len(times) > 1 and np.count_nonzero((times >= 0.0) & (times <= horizon * (1.0 + SLACK))) < 2:
-            raise UnusableTrajectoryError(f"{path}: {_too_slow(name, signal.times, horizon)}")
+            raise UnusableTrajectoryError(f"{path}: {_too_slow(name, times, horizon)}")
         times, values = times[first:last], values[first:last]
         _check_finite(path, name, times + begin, values)
         self._check_gaps(path, name, times, begin)
@@ -218,13 +222,13 @@ def _resampled(
 
 
 def _too_slow(name: str, times: Floats, horizon: float) -> str:
-    """Return why a log of many samples has one of the rollout."""
+    """Return why a log of many samples has one of the rollout, whose time is that of `times`."""
     span = f"{len(times):,} samples of {name} over {times[-1] - times[0]:.6g} s"
     if not horizon:
         return f"it has {span}, and the campaign no horizon; give horizon = {times[-1] - times[0]:.6g}, or less"
     has = f"it has {span}, of which the horizon of {horizon:g} s has at most one"
     if float(np.median(np.diff(times))) < horizon:
-        return f'{has}: they begin at {times[0]:.6g} s; give offset = "first" under [system.logs]'
+        return f'{has}: it begins {times[0]:.6g} s after the rollout; give offset = "first" under [system.logs]'
     return f"{has}: if its time is in another unit, give logs.factors = {{ t = 0.001 }} under [system]"
 
 

@@ -1,5 +1,6 @@
 """A log that is none is refused in one line, with the file and the time; nothing is repaired."""
 
+import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -37,6 +38,11 @@ def text(name: str, content: bytes) -> Write:
     return write
 
 
+def pipe(folder: Path) -> Path:
+    os.mkfifo(folder / "a.csv")
+    return folder / "a.csv"
+
+
 def cut(write: Write, share: float) -> Write:
     def shortened(folder: Path) -> Path:
         path = write(folder)
@@ -69,7 +75,7 @@ BROKEN: dict[str, tuple[Write, Mapping[str, Any], str]] = {
     "another base time": (
         csv(t=T + 1.7e9),
         {},
-        "they begin at 1.7e+09 s; give offset =",
+        "it begins 1.7e+09 s after the rollout; give offset =",
     ),
     "milliseconds": (csv(t=T * 1000), {}, "if its time is in another unit, give logs.factors = { t = 0.001 }"),
     "before its begin": (csv(), {"offset": 60.0}, "ends at 2 s, before the rollout begins, at 60 s of this log; give"),
@@ -145,6 +151,8 @@ BROKEN: dict[str, tuple[Write, Mapping[str, Any], str]] = {
         "has samples from -0.015625 to 1.98438 s of the rollout",
     ),
     "no log": (text("a.txt", b"hello"), {}, "a log is a CSV, Parquet, MAT, MCAP, bag file or a folder of rosbag2"),
+    "a pipe": (pipe, {}, "not a file"),
+    "messages without an offset": (json_mcap(), {"columns": OF_MESSAGES}, "it begins 1.7e+09 s after the rollout"),
     "nothing": (lambda folder: folder / "b.csv", {}, "No such file"),
 }
 
