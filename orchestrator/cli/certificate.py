@@ -8,7 +8,7 @@ from typing import Literal
 import click
 
 from ...schemas.amounts import counted
-from ...schemas.errors import meant, one_line
+from ...schemas.errors import PerfboundError, meant, one_line
 from . import signing
 from .early import check_directory
 from .group import RUN_DIRECTORY, cli, output_console
@@ -43,6 +43,8 @@ def verify(*, path: Path, key: Path | None, again: int, system: str | None, as_j
 
     from ..certificate.verify import run, stages, table  # noqa: PLC0415
 
+    if path.suffix == ".toml":
+        raise PerfboundError(f"{path}: this is a campaign file; give its run directory, such as runs/{path.stem}")
     with Progress(console=STDERR.console, transient=True, disable=not sys.stderr.isatty()) as progress:
         found = run.verify_certificate(path, key=key, again=again, report=stages.stage_bars(progress), system=system)
     if as_json:

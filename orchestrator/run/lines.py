@@ -134,7 +134,8 @@ def poison_text(
         end = f" ({how})" if (how := ends.get(each.worker)) else ""
         attempt = f"attempt {each.attempt.number} on {each.worker}{end}"
         by_reason.setdefault(each.failure.reason, []).append(attempt)
-    history = "; ".join(f"{', '.join(attempts)}: {reason}" for reason, attempts in by_reason.items())
+    # What is wrong comes first: the names of the workers help nobody who reads one line.
+    history = "; ".join(f"{reason} ({', '.join(attempts)})" for reason, attempts in by_reason.items())
     options = [f"--option={name}={value}" for name, value in config.system.options.items()]
     start = ",".join(map(repr, request.x))
     spec = ledger.header.spec

@@ -3,6 +3,7 @@
 import fcntl
 import json
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -229,6 +230,11 @@ def system_spec(reference: str, where: str) -> SystemSpec:
             raise CampaignError(
                 f"{where}: {name!r} is named by a file: write [system] with {kind} = {Path(name).name!r} and [space] "
                 "with the ranges of its parameters into a file beside it, and give that one"
+            )
+        if re.search("-v[0-9]+$", name):
+            raise CampaignError(
+                f"{where}: {name!r} is not an installed system; for an environment write [system] with gymnasium = "
+                f"{name!r} and a policy, and [space] with the ranges of its parameters into a file, and give that one"
             )
         raise CampaignError(f"{where}: {name!r} is not an installed system; {near}allowed are {allowed}")
     if isinstance(spec := known[name], str):

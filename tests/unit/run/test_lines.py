@@ -91,4 +91,4 @@ def test_the_repeat_of_a_rollout_that_hangs_ends_like_its_attempts() -> None:
 
 def test_the_exit_code_of_a_worker_is_in_the_line() -> None:
     found = text(None, {"local-1": "exit code 3"})
-    assert "attempt 1 on local-1 (exit code 3), attempt 2 on local-2: worker lost for 5 s" in found
+    assert "worker lost for 5 s (attempt 1 on local-1 (exit code 3), attempt 2 on local-2)" in found
