@@ -378,7 +378,7 @@ def measure(answers: int, begin: int, folder: str | None, keep: str | None) -> N
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="Folder of the files.")
 def logs(campaign: str, tests: Path, out: Path) -> None:
     """Write the log of each test as the file of its rollout, `K.mcap` for the K-th, from 0; a line for each fault."""
-    from .logs.tests import write_tests  # noqa: PLC0415
+    from .logs.write import write_tests  # noqa: PLC0415
 
     _be_child()
     if faults := write_tests(_add_file(campaign), tests, out):

@@ -4,19 +4,18 @@ import csv
 import hashlib
 import io
 import math
-import re
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
 from itertools import pairwise
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 from ...schemas.base import canonical_json
 from ...schemas.errors import CampaignError, EvidenceError, PerfboundError
 from ...schemas.file.config import CampaignConfig
-from ...schemas.file.logs import MAX_LOGS
+from ...schemas.file.logs import MAX_LOGS, name_and_unit
 from ...schemas.file.reader import MAX_STARTS_FILE, load_campaign, load_description
 from ...schemas.ids import RolloutId
 from ...schemas.number_text import number_in
@@ -25,13 +24,13 @@ from ...schemas.ranges import MAX_FILE_BYTES
 from ...schemas.result.facts import Header
 from ...schemas.rollout import RolloutRequest
 from ...schemas.system import SystemSpec
-from ..campaign.admission import admit
 from ..campaign.checks import check_new
 from ..campaign.seeds import rollout_seed
 from ..campaign.software import software
 from ..campaign.starts import drawn_starts
 from ..fleet.children import child
 from ..store import files as evidence
+from ..store.rows import DATABASE
 from .directory import check_vacant
 from .told import Admitted, ToldRollouts, journal_in
 
@@ -41,8 +40,6 @@ LOG, OFFSET = "log", "offset"
 """Titles of the starts beside those of the parameters."""
 LOG_SUFFIXES = frozenset({".csv", ".parquet", ".mat", ".mcap", ".bag", ".db3"})
 CHUNK = 2**20
-TITLE_UNIT = re.compile(r"\s*(\([^()]*\)|\[[^\[\]]*\])\s*$")
-"""A unit in brackets behind a title."""
 MOST_NAMED = 20
 """Faults of starts that a message lists."""
 
@@ -74,11 +71,11 @@ def import_logs(campaign: Path, folder: Path, starts: Path, directory: Path | No
     spec = child.system_spec(str(campaign), f"{campaign}: system")
     rows = read_starts(starts, [each.name for each in spec.parameters])
     tests = list(_recorded(rows, folder, starts, description.horizon, report))
-    config = load_campaign(campaign, recorded=tests)  # type: ignore[arg-type]
+    config = load_campaign(campaign, recorded=tests)
     check_new(config, spec, str(campaign))
     directory = directory or Path("runs") / config.name
     with ExitStack() as stack:
-        if not (directory / "campaign.db").exists():
+        if not (directory / DATABASE).exists():
             check_vacant(directory, config)
         place = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="perfbound-import-")))
         requests = _requests(config, spec)
@@ -105,7 +102,7 @@ def read_starts(path: Path, names: Sequence[str]) -> list[Start]:
         raise CampaignError(f"--starts: {path}: not UTF-8; save it as UTF-8") from None
     except csv.Error as error:
         raise CampaignError(f"--starts: {path}: not CSV: {error}") from None
-    titles = [TITLE_UNIT.sub("", title).strip() for title in head]
+    titles = [name_and_unit(title)[0] for title in head]
     places = {name: titles.index(name) for name in (LOG, *names, OFFSET) if name in titles}
     missing = [name for name in (LOG, *names) if name not in places]
     if unknown := [title for title in titles if title not in places and not missing]:
@@ -168,7 +165,7 @@ def _recorded(
         f"{folder / name}: {starts} has no row for this log; to leave out a test that was made would be a choice by "
         "its outcome"
         for name in _logs_below(folder)
-        if not any(name == each or name.startswith(f"{each}/") for each in named)
+        if named.isdisjoint((name, *map(str, PurePosixPath(name).parents)))
     ]
     if faults:
         raise PerfboundError(*_first(faults, "logs"))
@@ -278,13 +275,11 @@ def read_logs(
 
 
 def _tell(told: ToldRollouts, place: Path, count: int, done: Callable[[int, int], None]) -> None:
-    columns = tuple(each.name for each in told.spec.columns)
     while (rollout := next(iter(told.wanted), None)) is not None:
         done(count - len(told.wanted), count)
         payload = evidence.contents(place / f"{rollout.test}.mcap", MAX_FILE_BYTES)
-        sha256 = hashlib.sha256(payload).hexdigest()
         try:
-            found = Admitted(payload, sha256, admit(told.request(rollout), columns, payload, sha256))
+            found = Admitted.of(payload, told.request(rollout), told.spec)
             told.check(rollout, found)
         except EvidenceError as fault:  # the folder was changed meanwhile
             raise PerfboundError(f"{rollout}: {fault}") from None

@@ -1,5 +1,6 @@
 """A campaign without workers: its rollouts are handed in, and admitted by the checks of a worker's result."""
 
+import hashlib
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,7 +19,7 @@ from ...schemas.rollout import RolloutRequest
 from ...schemas.system import SystemSpec
 from ...schemas.trajectory.batch import digest_of
 from ...schemas.trajectory.trajectory import Trajectory
-from ..campaign.admission import Admission
+from ..campaign.admission import Admission, admit
 from ..campaign.ledger import Ledger, Work
 from ..campaign.software import software
 from ..certificate import files
@@ -44,6 +45,13 @@ class Admitted:
     payload: bytes
     sha256: str
     trajectory: Trajectory
+
+    @classmethod
+    def of(cls, payload: bytes, request: RolloutRequest, spec: SystemSpec) -> "Admitted":
+        """Return the trajectory in the bytes of a file; raises as `admit`."""
+        sha256 = hashlib.sha256(payload).hexdigest()
+        columns = tuple(column.name for column in spec.columns)
+        return cls(payload, sha256, admit(request, columns, payload, sha256))
 
 
 class ToldRollouts:

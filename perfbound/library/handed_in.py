@@ -1,12 +1,10 @@
 """What is handed in as the trajectory of a rollout, in any form, as the file that a worker would have written."""
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ..orchestrator.campaign.admission import admit
 from ..orchestrator.run.told import Admitted
 from ..orchestrator.store import files as evidence
 from ..schemas.errors import EvidenceError, SimulationError, UnusableTrajectoryError, shortened
@@ -40,7 +38,6 @@ def admitted(
         EvidenceError: the data do not fit the system or the request, or a file cannot be read.
 
     """
-    columns = tuple(column.name for column in spec.columns)
     try:
         step = None if step is None else _seconds(step)
         constants = constants_of(spec, request.x, start, disturbances)
@@ -52,8 +49,7 @@ def admitted(
             payload = file_of(found, request, spec)
         else:
             payload = file_of(_trajectory(data, spec, step, constants), request, spec)
-        sha256 = hashlib.sha256(payload).hexdigest()
-        return Admitted(payload, sha256, admit(request, columns, payload, sha256))
+        return Admitted.of(payload, request, spec)
     except UnusableTrajectoryError as fault:
         raise UnusableTrajectoryError(
             f"{request.rollout}: {fault}; the request stays open; if the trial itself failed, record that: "

@@ -80,7 +80,7 @@ def completed(table: Mapping[str, Any], stem: str = "") -> dict[str, Any]:
     name = re.sub("[^a-z0-9_]+", "-", stem.lower()).strip("-_")[:64]
     # Before validation, so that database and certificate have every key, and no reader asks whether one is there.
     found = {"name": name, **table} if name else dict(table)
-    if isinstance(system := found.get("system"), Mapping) and "rig" in system:
+    if is_rig(table):
         found = {"recheck": 0, "deadline": OF_RIG, **found}  # nobody repeats its rollouts, and a person drives them
     if isinstance(tests := found.get("recorded"), list | tuple):
         found.setdefault("max_tests", len(tests))
@@ -176,8 +176,14 @@ def _method(problem: Mapping[str, Any], table: Mapping[str, Any]) -> MethodName:
     # Every other method has a tolerance: where it is given, the space is at fault and not the method.
     asked = bool(table.keys() & {"specifications", "falsify"}) or (isinstance(space, Mapping) and _is_drawn(space))
     # Logs have their starts, and a rig is driven from a few.
-    asked = asked or (isinstance(table.get("system"), Mapping) and "rig" in table["system"])
+    asked = asked or is_rig(table)
     return "sample" if _claims_draws(table) or (asked and "alpha" not in problem) else "rigorous"
+
+
+def is_rig(table: Mapping[str, Any]) -> bool:
+    """Whether the system of a file is a rig."""
+    system = table.get("system")
+    return isinstance(system, Mapping) and "rig" in system
 
 
 def _claims_draws(table: Mapping[str, Any]) -> bool:

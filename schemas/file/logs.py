@@ -1,5 +1,6 @@
 """Logs of a rig or a vehicle: how they become columns, and the tests that were imported from them."""
 
+import re
 from collections.abc import Mapping
 from typing import Literal
 
@@ -8,10 +9,22 @@ from pydantic import Field, model_validator
 from ..base import Model
 from ..ranges import Magnitude
 
+TITLE = re.compile(r"\s*(.*?)\s*(?:\(([^()]*)\)|\[([^\[\]]*)\])?\s*")
+"""A title of a table: its name, and its unit in brackets."""
 MAX_LOGS = 10_000
 """Logs of one campaign; the certificate contains all their starts."""
 ROUNDING = 1e-9
 """A distance may exceed its tolerance by so large a share of it: both are differences of decimal numbers."""
+
+
+def name_and_unit(title: str) -> tuple[str, str | None]:
+    """Return the name that the title of a column is, and its unit in brackets.
+
+    >>> name_and_unit(" speed (m/s)"), name_and_unit("Time [ms]"), name_and_unit("t")
+    (('speed', 'm/s'), ('Time', 'ms'), ('t', None))
+    """
+    match = TITLE.fullmatch(title)
+    return (title.strip(), None) if match is None else (match[1], match[2] if match[2] is not None else match[3])
 
 
 def driven_column(parameter: str) -> str:

@@ -19,9 +19,9 @@ from ..errors import CampaignError
 from ..number_text import number_in
 from ..outside import read_outside
 from .config import CampaignConfig
-from .defaults import OF_PROBLEM, completed, is_description, leaves_out_problems, with_stand_ins
+from .defaults import OF_PROBLEM, completed, is_description, is_rig, leaves_out_problems, with_stand_ins
 from .faults import LISTS, faults, list_fault
-from .space import KINDS
+from .space import kind_named
 
 Beside = Callable[[str], bytes]
 """Reads a file beside the campaign file; raises OSError."""
@@ -48,7 +48,7 @@ def load_description(path: Path) -> CampaignConfig:
     return parse_campaign(*file_and_place(path), whole=False)
 
 
-def load_campaign(path: Path, **overrides: int) -> CampaignConfig:
+def load_campaign(path: Path, **overrides: Any) -> CampaignConfig:
     """Read a campaign file.
 
     Raises:
@@ -80,7 +80,7 @@ def file_and_place(path: Path) -> tuple[bytes, str, Beside]:
         system = SYSTEM_IN_FILE.search(data.decode(errors="replace"))
         reference = shlex.quote(f"{path}:{system[1] if system else 'NAME'}")
         raise CampaignError(f"{path}: this is Python and no campaign file; write one: perfbound init {reference}")
-    if kind := next((key for key, each in KINDS.items() if each.suffix and path.suffix == each.suffix), None):
+    if kind := kind_named(path.suffix):
         raise CampaignError(
             f"{path}: this is a model and no campaign file; write one with {kind} = {path.name!r} under [system]"
         )
@@ -152,17 +152,10 @@ def validated(found: dict[str, Any], table: Mapping[str, Any], source: str) -> C
             hint = f"; this file describes a system alone: perfbound init {shlex.quote(source)} makes a campaign of it"
             # What a campaign needs in addition is what that command adds.
             lines = [first + hint, *(line for line in others if line not in misses)]
-        elif any(line.endswith("rkhs_norm: this key is required: a number > 0") for line in lines) and not _is_rig(
-            table
-        ):
+        elif any(line.endswith(NO_NORM) for line in lines) and not is_rig(table):
             command = f"perfbound calibrate {shlex.quote(source)}"
             lines = [*lines, f"a draft without constants of a kernel: `{command}` proposes them"]
         raise CampaignError(*(f"{source}: {line}" for line in lines)) from None
-
-
-def _is_rig(table: Mapping[str, Any]) -> bool:
-    system = table.get("system")
-    return isinstance(system, Mapping) and "rig" in system
 
 
 def _csv_rows(name: str, key: str, most: int, beside: Beside | None) -> tuple[list[str], list[list[float]]]:

@@ -292,8 +292,8 @@ class Kind(NamedTuple):
     """Those that it cannot do without, and what they are."""
     described: bool = False
     """Whether the file describes it, so that `[space]` has its parameters."""
-    suffix: str = ""
-    """Of the file that is its whole model."""
+    pattern: str = ""
+    """Of the names that say by themselves which kind they are of."""
 
 
 FUNCTION_KEYS = ("files", "stamps", "after_end")
@@ -329,16 +329,17 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             (*RECORDED_KEYS, "policy", "noisy", "after_end"),
             {"policy": '"policy.py:act", a function that returns an action for an observation'},
             described=True,
+            pattern="-v[0-9]+$",
         ),
         "fmu": Kind(
             "an FMU",
             'fmu = "NAME.fmu"',
             (*RECORDED_KEYS, "interface", "noisy", "after_end"),
             described=True,
-            suffix=".fmu",
+            pattern=r"\.fmu$",
         ),
         "mjcf": Kind(
-            "a model for MuJoCo", 'mjcf = "NAME.xml"', (*RECORDED_KEYS, "controller"), described=True, suffix=".xml"
+            "a model for MuJoCo", 'mjcf = "NAME.xml"', (*RECORDED_KEYS, "controller"), described=True, pattern=r"\.xml$"
         ),
         "rig": Kind(
             "a rig",
@@ -359,6 +360,15 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
     }
 )
 """By the key of `[system]` that names the system."""
+
+
+def kind_named(name: str) -> str | None:
+    """Return the kind of a system that a name says by itself, as that of its model does; None for another name.
+
+    >>> kind_named("models/Tank.fmu"), kind_named("CartPole-v1"), kind_named("cars.py:cars")
+    ('fmu', 'gymnasium', None)
+    """
+    return next((key for key, each in KINDS.items() if each.pattern and re.search(each.pattern, name)), None)
 
 
 def _kinds_with(key: str) -> str:

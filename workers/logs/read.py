@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...schemas.errors import EvidenceError, PerfboundError, UnusableTrajectoryError
 from ...schemas.file.logs import LogMapping
-from ...schemas.instants import ends_early
+from ...schemas.instants import ends_early, uncovered
 from ...schemas.system import SystemSpec
 from ...schemas.trajectory.trajectory import Trajectory
 from ..faults import NOT_OF_SYSTEMS, fault_text
@@ -66,9 +66,13 @@ class LogReader:
         signals = {name: self._in_unit(path, name, signal, begin, horizon) for name, signal in log.signals.items()}
         times, columns = self._on_one_grid(path, signals, horizon)
         try:
-            return whole({TIME: times, **columns}, self._spec, constants)
+            found = whole({TIME: times, **columns}, self._spec, constants)
         except UnusableTrajectoryError as error:
             raise UnusableTrajectoryError(f"{path}: {error}") from None
+        # One that may end early is held to the horizon.
+        if self._spec.after_end is None and (fault := uncovered(found.samples[:, 0], horizon)):
+            raise UnusableTrajectoryError(f"{path}: {fault}")
+        return found
 
     def _checked(self, path: Path, constants: Container[str]) -> "_Log":
         try:

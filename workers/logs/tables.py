@@ -12,15 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...schemas.errors import EvidenceError, meant, shortened
-from ...schemas.file.logs import LogMapping
+from ...schemas.file.logs import LogMapping, name_and_unit
 from ...schemas.number_text import number_in
 from ...schemas.outside import read_outside
 
 Floats = NDArray[np.float64]
 MAX_LOG = 2**30
 """Bytes of one log."""
-TITLE = re.compile(r"\s*(.*?)\s*(?:\(([^()]*)\)|\[([^\[\]]*)\])?\s*")
-"""A title: its name, and its unit in brackets."""
 TIME = "t"
 """The title of the time where the mapping gives none, and its name as a column."""
 NANOSECONDS = 1e-9
@@ -46,7 +44,7 @@ def _places(
     path: Path, titles: Sequence[str], wanted: Mapping[str, str], units: Mapping[str, str], mapping: LogMapping
 ) -> dict[str, int]:
     """Return where each column of the system is; titles may have their units in brackets."""
-    names = [_name_and_unit(title) for title in titles]
+    names = [name_and_unit(title) for title in titles]
     found: dict[str, int] = {}
     for column, title in wanted.items():
         places = [k for k, whole in enumerate(titles) if title in (whole.strip(), names[k][0])]
@@ -77,11 +75,6 @@ def _places(
             'extra = "ignore" under [system.logs]'
         )
     return found
-
-
-def _name_and_unit(title: str) -> tuple[str, str | None]:
-    match = TITLE.fullmatch(title)
-    return (title.strip(), None) if match is None else (match[1], match[2] if match[2] is not None else match[3])
 
 
 def _same_unit(one: str, other: str) -> bool:

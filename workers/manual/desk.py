@@ -13,9 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from ...schemas.atomic import make_folder, write_whole
-from ...schemas.errors import EvidenceError, PerfboundError, SimulationError, UnusableTrajectoryError
+from ...schemas.errors import EvidenceError, PerfboundError, SimulationError
 from ...schemas.file.logs import driven_column, driven_fault
-from ...schemas.instants import uncovered
 from ...schemas.system import OptionValue
 from ...schemas.trajectory.trajectory import Trajectory
 from ..handed_in import constants_of
@@ -31,7 +30,7 @@ MOST_DONE = 1000
 
 
 @dataclass(frozen=True)
-class Trial:
+class WantedTest:
     """A test that is wanted."""
 
     key: str
@@ -50,7 +49,7 @@ class _Answer:
 
 @dataclass
 class _State:
-    trial: Trial | None = None
+    trial: WantedTest | None = None
     answer: _Answer | None = None
     done: list[dict[str, str]] = field(default_factory=list)
 
@@ -84,7 +83,7 @@ class Desk(DescribedSystem):
             Cancelled: raised by `progress`.
 
         """
-        trial = Trial(f"{seed:014x}", tuple(x), horizon)
+        trial = WantedTest(f"{seed:014x}", tuple(x), horizon)
         if (before := self._handed_in_before(trial)) is not None:
             return before
         ticks = itertools.count(1)
@@ -146,7 +145,7 @@ class Desk(DescribedSystem):
             "done": done,
         }
 
-    def _described(self, trial: Trial) -> dict[str, Any]:
+    def _described(self, trial: WantedTest) -> dict[str, Any]:
         parameters = zip(self.spec.parameters, trial.x, strict=True)
         return {
             "key": trial.key,
@@ -157,14 +156,14 @@ class Desk(DescribedSystem):
             ],
         }
 
-    def _open(self, key: str) -> Trial:
+    def _open(self, key: str) -> WantedTest:
         with self._changed:
             trial = self._state.trial
         if trial is None or trial.key != key:
             raise EvidenceError("this request was withdrawn, or has its log; load the page again")
         return trial
 
-    def _answer(self, trial: Trial, answer: _Answer, what: str) -> None:
+    def _answer(self, trial: WantedTest, answer: _Answer, what: str) -> None:
         with self._changed:
             if self._state.trial != trial or self._state.answer is not None:
                 raise EvidenceError("this request was withdrawn, or has its log; load the page again")
@@ -173,30 +172,24 @@ class Desk(DescribedSystem):
             del self._state.done[:-MOST_DONE]
             self._changed.notify_all()
 
-    def _read(self, trial: Trial, given: Mapping[str, Any]) -> Trajectory:
+    def _read(self, trial: WantedTest, given: Mapping[str, Any]) -> Trajectory:
         constants = constants_of(self.spec, trial.x, given["start"], given["disturbances"])
         asked = {each.name: value for each, value in zip(self.spec.parameters, trial.x, strict=True)}
         driven = {name: constants[driven_column(name)] for name in self._tolerance}
         if (fault := driven_fault(asked, driven, self._tolerance)) is not None:
             raise EvidenceError(fault)
-        log = Path(given["log"])
-        found = self._reader.trajectory(log, trial.horizon, constants=constants)
-        if self.spec.after_end is None and (fault := uncovered(found.samples[:, 0], trial.horizon)):
-            raise UnusableTrajectoryError(f"{log}: {fault}")
-        return found
+        return self._reader.trajectory(Path(given["log"]), trial.horizon, constants=constants)
 
-    def _record(self, trial: Trial) -> Path:
+    def _record(self, trial: WantedTest) -> Path:
         return self.folder / f"{trial.key}.json"
 
-    def _keep(self, trial: Trial, given: Mapping[str, Any]) -> None:
+    def _keep(self, trial: WantedTest, given: Mapping[str, Any]) -> None:
         make_folder(self.folder)
         write_whole(self._record(trial), json.dumps(given, indent=1).encode())
 
-    def _handed_in_before(self, trial: Trial) -> Trajectory | None:
+    def _handed_in_before(self, trial: WantedTest) -> Trajectory | None:
         """Return what was handed in before this worker, or its orchestrator, was started again."""
         try:
             return self._read(trial, json.loads(self._record(trial).read_bytes()))
-        except FileNotFoundError:
-            return None
         except (PerfboundError, OSError, ValueError, KeyError, TypeError):
-            return None  # a file was changed or removed meanwhile: it is asked for again
+            return None  # nothing was, or a file was changed or removed meanwhile: it is asked for

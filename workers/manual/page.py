@@ -1,4 +1,4 @@
-"""The page of a desk, on this machine alone: whoever has its address may hand in logs."""
+"""The page of a desk, on this machine alone: anyone who has its address may hand in logs."""
 
 import asyncio
 import base64

@@ -1,4 +1,4 @@
-"""What MuJoCo warns of in this process: by itself it writes that into a file beside the campaign, and goes on."""
+"""What MuJoCo warns of in this process: by itself it writes that into a file beside the campaign."""
 
 from typing import Any
 

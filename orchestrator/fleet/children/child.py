@@ -3,7 +3,6 @@
 import fcntl
 import json
 import os
-import re
 import subprocess
 import sys
 import tempfile
@@ -15,7 +14,7 @@ from typing import IO
 from ....schemas.errors import CampaignError, PerfboundError, meant, one_line
 from ....schemas.file.config import CampaignConfig
 from ....schemas.file.reader import load_description
-from ....schemas.file.space import KINDS
+from ....schemas.file.space import KINDS, kind_named
 from ....schemas.system import SystemSpec
 from .family import GRACE, STACK_WRITER, end_family, held_signals, place_of_stack, without_stack
 
@@ -225,16 +224,11 @@ def system_spec(reference: str, where: str) -> SystemSpec:
     if name not in known:
         near = meant(name, known)
         allowed = ", ".join(sorted(known))
-        kind = next((key for key, each in KINDS.items() if each.suffix and name.endswith(each.suffix)), None)
-        if kind is not None:
+        if (kind := kind_named(name)) is not None:
+            keys = ", ".join([f"{kind} = {Path(name).name!r}", *KINDS[kind].required])
             raise CampaignError(
-                f"{where}: {name!r} is named by a file: write [system] with {kind} = {Path(name).name!r} and [space] "
+                f"{where}: {name!r} is named by a file: write [system] with {keys} and [space] "
                 "with the ranges of its parameters into a file beside it, and give that one"
-            )
-        if re.search("-v[0-9]+$", name):
-            raise CampaignError(
-                f"{where}: {name!r} is not an installed system; for an environment write [system] with gymnasium = "
-                f"{name!r} and a policy, and [space] with the ranges of its parameters into a file, and give that one"
             )
         raise CampaignError(f"{where}: {name!r} is not an installed system; {near}allowed are {allowed}")
     if isinstance(spec := known[name], str):
