@@ -1,5 +1,8 @@
 """In what two builds of a system differ."""
 
+import pytest
+
+from perfbound.schemas.errors import DefinitionError
 from perfbound.schemas.system import Column, Parameter, SystemSpec, differences
 
 COLUMNS = (Column(name="t", unit="s"), Column(name="y", unit="m"))
@@ -19,6 +22,11 @@ def test_a_changed_range_is_named_with_both_values() -> None:
         "parameter wind none (here in [0, 3], an input over time)",
     ]
     assert differences(before, before) == []
+
+
+def test_a_column_is_no_word_of_a_specification() -> None:
+    with pytest.raises(DefinitionError, match="'always' is a word of specifications; choose another name"):
+        Column(name="always", unit="")
 
 
 def test_another_order_of_the_parameters_is_a_difference() -> None:

@@ -231,6 +231,20 @@ def test_what_cannot_be_is_refused_with_the_remedy(
         environment(named, space, keys, policy=ACTS)
 
 
+def test_an_action_that_a_reset_draws_follows_from_the_seed(environment: Make) -> None:
+    """Some environments draw one from their action space, which no `reset(seed=seed)` reaches."""
+    policy = f"""{ACTS}
+def reset(env, *, seed, length):
+    found = env.reset(seed=seed)
+    env.unwrapped.length = length + sum(2.0**-k * env.action_space.sample() for k in range(1, 25))
+    return found
+"""
+    system = environment("CartPole-v1", "length = [0.4, 0.6]", policy=policy)
+    first, again, other = (rolled(system, 0.5, seed=seed, horizon=0.4).samples for seed in (7, 7, 8))
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
 def test_a_reset_that_lacks_a_parameter_is_refused_with_all_of_them(environment: Make) -> None:
     policy = f"{ACTS}\ndef reset(env, *, seed, length):\n    return env.reset(seed=seed)\n"
     with pytest.raises(DefinitionError, match=r"every parameter, reset\(env, \*, seed, length, angle\): got an unex"):

@@ -91,6 +91,7 @@ def test_the_spec_follows_from_the_campaign_file(program: Callable[..., ProgramS
     assert [(each.name, each.unit) for each in spec.columns] == [("t", "s"), ("x", "m"), ("v", "m/s")]
     assert {each.name: each.default for each in spec.options} == {"damping": 0.25, "mode": "fast"}
     assert (spec.name, spec.variants, spec.noisy) == ("sim", ("nominal",), ("nominal",))
+    assert spec.timed, "with a step it has a duration, and a campaign needs a horizon"
     assert set(spec.code) == {sys.executable, "sim.py"}, "the interpreter and its script"
 
 
