@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from itertools import chain, product
 from typing import NamedTuple
 
 import numpy as np
@@ -414,17 +415,21 @@ def _hoeffding(
     )
 
 
-# Fixed starts that methods choose from where no lattice covers the box
+# Listed starts of a box, where the file asks for a claim about them
+
+MOST_CORNERS = 64
+"""Corners of a box that are listed: those of six parameters."""
 
 
 @lru_cache(maxsize=4)
 def spread_points(
     parameters: tuple[str, ...], ends: tuple[tuple[float, float], ...], count: int, where: str | None
 ) -> Points:
-    """Return the first `count` points of the Sobol sequence over a box that are in its region, if it has one.
+    """Return `count` starts of a box, or of its region: its corners, then the points of the Sobol sequence.
 
-    `ends` are low and high of each parameter, in their order. Coordinates are rounded to `DIGITS` digits as those of
-    drawn starts, so that all machines have the same ones.
+    The worst start of many systems is in a corner, which no sequence visits. They are listed where they are at most
+    `MOST_CORNERS` and half of all starts. `ends` are low and high of each parameter, in their order. Coordinates are
+    rounded to `DIGITS` digits as those of drawn starts, so that all machines have the same ones.
 
     Raises:
         CampaignError: almost nothing of the box is in the region.
@@ -435,8 +440,11 @@ def spread_points(
     low, high = np.array(ends).T
     found: dict[Start, None] = {}
     most = 2 * count / LEAST_SHARE
+    corners = [np.array(list(product((0.0, 1.0), repeat=len(ends))))] if _has_corners(len(ends), count) else []
+    tried = 0
     # Unscrambled, and the first ones first: a larger number of candidates repeats a smaller one.
-    for number, shares in enumerate(sobol_blocks(len(parameters)), start=1):
+    for shares in chain(corners, sobol_blocks(len(parameters))):
+        tried += len(shares)
         values = low + shares * (high - low)
         # The region first, to round few points of many; and once more, because rounding may leave it.
         if admitted is not None:
@@ -447,9 +455,14 @@ def spread_points(
         found |= {start: None for start, kept in zip(starts, inside, strict=True) if kept}
         if len(found) >= count:
             return Points(tuple(found)[:count])
-        if number * len(shares) > most:
+        if tried > most:
             break
     raise CampaignError(
         f"space.where: only {len(found):,} of the {count:,} candidates are in the region; give fewer, or choose "
         "narrower ranges"
     )
+
+
+def _has_corners(parameters: int, count: int) -> bool:
+    """Whether the corners of a box are among so many listed starts of it."""
+    return bool(2**parameters <= min(MOST_CORNERS, count // 2))

@@ -9,6 +9,7 @@ from ...schemas.file.config import CampaignConfig
 from ...schemas.file.drawn_claims import PROBABILITIES, is_sampled
 from ...schemas.file.parts import parts_of
 from ...schemas.file.problem_models import KernelProblem
+from ...schemas.ids import SPOT_CHECK, closing_check
 from ...schemas.result.certificate import CertificateClaim, Predicate
 from ...schemas.result.facts import Header
 from ...schemas.result.known import CampaignVerdict, Violations
@@ -93,7 +94,7 @@ def campaign_verdict(
             false = f"A rollout has the robustness {least}, less than the bound {bound}: the claim is false."
             found = replace(found, reasons=(false, *found.reasons))
     if found.by_rollouts:
-        found = replace(found, reasons=(*found.reasons, *_by_tolerance(predicate)))
+        found = replace(found, reasons=(*found.reasons, *_between(claim, violations), *_by_tolerance(predicate)))
     stated = claim.model_copy(update={"refuted": ("by a rollout",)}) if contradicted else claim
     is_clipped = violations.least is not None and config.clip is not None and violations.least <= config.clip[0]
     decisive = "" if found.word != "SHOWN" or found.by_rollouts else rests_on(predicate, config, required.bound)
@@ -203,7 +204,22 @@ def _is_contradicted(header: Header, claim: CertificateClaim, violations: Violat
     """Whether one rollout without noise is below the bound."""
     if violations.least is None or not is_deterministic(header) or claim.quantity not in WORST or claim.requirement:
         return False
+    if _is_between(claim, violations):
+        return False
     return violations.least < claim.bound - SAME
+
+
+def _is_between(claim: CertificateClaim, violations: Violations) -> bool:
+    """Whether the worst rollout is at a fresh start of the box, and the claim about listed starts of it alone."""
+    problem = (violations.rollout or "").partition(".")[0]
+    return claim.starts is not None and closing_check(problem) == SPOT_CHECK
+
+
+def _between(claim: CertificateClaim, violations: Violations) -> tuple[str, ...]:
+    """Return the sentence on a worst start of which the claim says nothing; none where it is one of the claim's."""
+    if not _is_between(claim, violations):
+        return ()
+    return (f"The worst rollout is at a fresh start, none of the {claim.starts:,} listed ones of the claim.",)
 
 
 def _is_about_a_box(header: Header, predicate: Predicate) -> bool:

@@ -8,13 +8,12 @@ from .drawn_claims import SAMPLED, UP_TO_CHANCE, ClaimRequest, DrawnClaim, drawn
 from .keys import CampaignKeys
 from .logs import RecordedTest
 from .method_spaces import (
-    LATTICE_PARAMETERS,
     check_lattice,
     check_region,
     check_space,
     check_starts,
+    check_unlisted,
     draws_starts,
-    largest_resolution,
 )
 from .objectives import CLAIMS, OBJECTIVES, OF_ROBUSTNESS, ProblemName, Sense, any_of
 from .parameters import check_signals, parameter_ranges
@@ -73,7 +72,6 @@ def _rules_of_problems(config: CampaignKeys) -> Iterator[Callable[[], None]]:
 
 def _rules_of_claims(config: CampaignKeys) -> Iterator[Callable[[], None]]:
     """Yield the rules of all problems together, and of what is claimed."""
-    yield partial(_check_starts_agree, config)
     if config.until_counterexample:
         yield partial(_check_until_counterexample, config, config.problems[0])
     if config.falsify is not None and config.falsify.over == "disturbances":
@@ -141,12 +139,6 @@ def _first_sense(config: CampaignKeys) -> Sense:
 def _check_clip_order(config: CampaignKeys) -> None:
     if config.clip is not None and not config.clip[0] < config.clip[1]:
         raise ValueError(f"clip: {list(config.clip)} must be [low, high] with low < high")
-
-
-def _check_starts_agree(config: CampaignKeys) -> None:
-    # A claim that is composed of two bounds is about the starts that both cover.
-    if len({config.starts_of(problem) for problem in config.problems if not draws_starts(problem.method)}) > 1:
-        raise ValueError("candidates: the problems choose from different starts; give their number, or one resolution")
 
 
 def _check_objective(config: CampaignKeys, problem: Problem) -> None:
@@ -230,6 +222,7 @@ def _check_method(config: CampaignKeys, problem: Problem) -> None:
         check_starts(problem.method, config.space, config.candidates)
     check_space(problem.method, config.space, where)
     if isinstance(config.space, dict) and config.starts_of(problem) is None and not draws_starts(problem.method):
+        check_unlisted(problem.name, problem.method, where, region=config.where is not None)
         resolution = config.resolution_of(problem)
         check_lattice(problem.name, problem.method, config.space, resolution, where, regions=config.regions)
     if config.where is not None:
@@ -410,24 +403,10 @@ def check_regions(config: CampaignKeys) -> None:
     if space_kind(config.space) != "box":
         raise ValueError("regions: a list of starts has no regions; give low and high per parameter under [space]")
     if config.where is not None or config.starts_of(first) is not None:
-        raise ValueError(f"regions: only a whole box with a lattice is divided; {_with_a_lattice(config, first)}")
+        given = " and ".join(f"`{key}`" for key in ("where", "candidates") if getattr(config, key) is not None)
+        raise ValueError(f"regions: only a whole box with a lattice is divided; remove {given}")
     if clip is not None and not clip[0] < 0 < clip[1]:
         raise ValueError(f"clip: {list(clip)} must contain 0 inside with regions, or it decides the sign everywhere")
-
-
-def _with_a_lattice(config: CampaignKeys, problem: Problem) -> str:
-    """Return what gives a box of fixed starts a lattice."""
-    assert isinstance(config.space, dict), "the space is checked before"
-    parameters = len(parameter_ranges(config.space))
-    fitting = largest_resolution(problem.method, parameters)
-    if fitting < 2:
-        return f"{parameters} parameters have none, remove regions"
-    given = [f"`{key}`" for key in ("where", "candidates") if getattr(config, key) is not None]
-    ways = [f"remove {' and '.join(given)}"] if given else []
-    # Of few parameters there is one without the key; another number than the default is a wish for one.
-    if parameters > LATTICE_PARAMETERS and config.resolution_of(problem) > fitting:
-        ways.append(f"with {parameters} parameters give resolution = {fitting} or less")
-    return ", and ".join(ways)
 
 
 def _check_recorded(config: CampaignKeys) -> None:

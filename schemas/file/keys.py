@@ -225,8 +225,8 @@ class CampaignKeys(CampaignSize):
         ge=2,
         le=MOST_STARTS,
         exclude_if=lambda candidates: candidates is None,
-        description="fixed starts of a Sobol sequence over the box, which the claim is then about; by default 4096 with"
-        " `rigorous` on more than 3 parameters or with `where`, 64 with `scenario` on ranges",
+        description="with `rigorous` or `scenario` on ranges: the claim is about so many starts of the box alone, its "
+        "corners and a Sobol sequence",
     )
     problems: tuple[Annotated[Problem, Field(discriminator="method")], ...] = Field(
         min_length=1,
@@ -283,6 +283,5 @@ class CampaignKeys(CampaignSize):
         return problem.gap or self.gap if OBJECTIVES[problem.name].measured == "gap" else None
 
     def starts_of(self, problem: Problem) -> int | None:
-        """Return how many fixed starts of the box a problem chooses from; None for a lattice, a list and draws."""
-        resolution, region = self.resolution_of(problem), self.where is not None
-        return fixed_starts(problem.method, self.space, resolution, self.candidates, region=region)
+        """Return how many listed starts of the box a problem chooses from; None for a lattice, a list and draws."""
+        return fixed_starts(problem.method, self.space, self.candidates)

@@ -36,9 +36,9 @@ MOST_STARTS = 5000
 
 
 class FixedStarts(NamedTuple):
-    """How many starts of the Sobol sequence a method chooses from."""
+    """How many starts of a box a method chooses from, where the file lists them by `candidates`."""
 
-    default: int
+    proposed: int
     most: int
 
 
@@ -47,7 +47,7 @@ FIXED_STARTS: Mapping[MethodName, FixedStarts] = {
     # Without a kernel each start needs some tens of rollouts: the default of 2,000 tests has 31 for each of 64.
     "scenario": FixedStarts(64, MAX_SCENARIOS),
 }
-"""The methods that choose from fixed starts where no lattice covers the box; `scenario` never has a lattice."""
+"""The methods whose claim can be about listed starts of a box; `scenario` has no other one, `rigorous` a lattice."""
 NEEDED: Mapping[SpaceKind, str] = {
     "box": "a box under [space]: low and high per parameter",
     "distributions": "ranges with distributions under [space]",
@@ -61,24 +61,17 @@ def draws_starts(method: MethodName) -> bool:
     return "distributions" in SPACES[method]
 
 
-def fixed_starts(method: MethodName, space: Space, resolution: int, chosen: int | None, *, region: bool) -> int | None:
-    """Return how many starts of the Sobol sequence a method chooses from; None for a lattice, a list and draws.
+def fixed_starts(method: MethodName, space: Space, chosen: int | None) -> int | None:
+    """Return how many listed starts of a box a method chooses from; None for a lattice, a list and draws.
 
-    `chosen` is the key `candidates` of the file; `region`: `where` leaves a part of the box alone.
+    `chosen` is the key `candidates` of the file: nothing else makes a claim one about listed starts.
 
     >>> from perfbound.schemas.file.space import Range
     >>> box = {name: Range(low=0.0, high=1.0) for name in "abcd"}
-    >>> [fixed_starts("rigorous", box, each, None, region=False) for each in (21, 10)]
-    [4096, None]
+    >>> [fixed_starts("rigorous", box, each) for each in (None, 500)]
+    [None, 500]
     """
-    known = FIXED_STARTS.get(method)
-    if known is None or not isinstance(space, dict):
-        return None
-    if chosen is not None:
-        return chosen
-    # A resolution that the file gives is a wish for a lattice, as before there were fixed starts.
-    large = len(parameter_ranges(space)) > LATTICE_PARAMETERS and resolution == RESOLUTION
-    return known.default if large or region or method == "scenario" else None
+    return chosen if method in FIXED_STARTS and isinstance(space, dict) else None
 
 
 def candidates(space: Space, resolution: int, starts: int | None) -> int:
@@ -100,6 +93,27 @@ def check_starts(method: MethodName, space: Space, chosen: int) -> None:
         raise ValueError(f"candidates: only for ranges, with method {any_of(tuple(FIXED_STARTS))}; remove this key")
     if chosen > known.most:
         raise ValueError(f"candidates: {chosen} is not allowed: method {method!r} takes at most {known.most}")
+
+
+def check_unlisted(problem: ProblemName, method: MethodName, where: str, *, region: bool) -> None:
+    """Refuse ranges whose starts nobody listed, with a method that has to choose from a list.
+
+    A claim about listed starts says nothing of those between them, so it is made only where the file asks for it.
+
+    Raises:
+        ValueError: one line with the key `candidates` and the methods that claim something about the whole ranges.
+
+    """
+    if method == "scenario":
+        fault = f"{where}.method: 'scenario' chooses from listed starts, and [space] has ranges"
+    elif method in FIXED_STARTS and region:
+        fault = f"space.where: method {method!r} covers a whole box or chooses from listed starts"
+    else:
+        return
+    others = [repr(name) for name in OBJECTIVES[problem].methods if draws_starts(name)]
+    whole = f", or choose method {' or '.join(others)}, whose claim is about all of them" if others else ""
+    number = FIXED_STARTS[method].proposed
+    raise ValueError(f"{fault}; give candidates = {number} for a claim about so many starts of them alone{whole}")
 
 
 def largest_resolution(method: MethodName, parameters: int) -> int:
@@ -136,11 +150,11 @@ def check_lattice(
     if nodes < MOST_PRINTED:
         number, memory = f"{nodes:,}", f"{amount(8 * nodes)} for each start that is tested"
     ways = [f"give resolution = {fitting}"] if fitting > 1 else []
-    if method in FIXED_STARTS and not (regions and ways):
-        first = "remove regions and " if regions else ""
-        ways.append(f"{first}give candidates = {FIXED_STARTS[method].default} for a claim about so many fixed starts")
-    if method not in FIXED_STARTS and parameters > LATTICE_PARAMETERS:
+    if parameters > LATTICE_PARAMETERS and not regions:
         ways.append(f"choose a method without a lattice: {without_lattice(problem)}")
+    elif method in FIXED_STARTS and not (regions and ways):
+        first = "remove regions and " if regions else ""
+        ways.append(f"{first}give candidates = {FIXED_STARTS[method].proposed} for a claim about so many starts alone")
     raise ValueError(
         f"{where}.resolution: {resolution} for each of {parameters} parameters are {number} lattice nodes, more than "
         f"the {most:,} allowed, and take {memory}; {', or '.join(ways)}"
@@ -148,15 +162,15 @@ def check_lattice(
 
 
 def without_lattice(problem: ProblemName) -> str:
-    """Return the methods of a problem that take ranges without a lattice, as a choice.
+    """Return the methods of a problem that take ranges without a lattice, as a choice: first those about all of them.
 
-    >>> without_lattice("robustness").partition(" or ")[0], without_lattice("sim_gap")
-    ("'scenario', 'sample'", "'rigorous' with candidates = 4096")
+    >>> without_lattice("robustness")
+    "'sample', or for listed starts alone 'rigorous' with candidates = 4096 or 'scenario' with candidates = 64"
     """
-    others = [repr(name) for name in ("scenario", "sample") if name in OBJECTIVES[problem].methods]
-    # With a resolution of the file it has a lattice, too.
-    rigorous = f"'rigorous' with candidates = {FIXED_STARTS['rigorous'].default}"
-    return " or ".join(filter(None, (", ".join(others), rigorous)))
+    methods = OBJECTIVES[problem].methods
+    whole = [repr(name) for name in SPACES if draws_starts(name) and name in methods]
+    listed = [f"{name!r} with candidates = {each.proposed}" for name, each in FIXED_STARTS.items() if name in methods]
+    return ", or ".join(filter(None, (" or ".join(whole), f"for listed starts alone {' or '.join(listed)}")))
 
 
 def check_space(method: MethodName, space: Space, where: str) -> None:

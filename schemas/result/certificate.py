@@ -309,7 +309,9 @@ class SpotCheckedProblem(Model):
     """The finding of the spot check for the bound of one problem; `limit` is that bound, in its sense."""
 
     name: ProblemName
-    status: Literal["refuted", "not refuted", "not testable"]
+    status: Literal["refuted", "not refuted", "not testable", "beyond"] = Field(
+        description="`beyond`: the bound is one of listed starts, and false at others of the box"
+    )
     limit: float
     noisy: bool
     rollouts: int = Field(description="that tested this bound, follow-ups included")

@@ -1,4 +1,8 @@
-"""The spot check of a finished campaign on a box: fresh uniform starts that test every bound without smoothness."""
+"""The spot check of a finished campaign on a box: fresh uniform starts that test every bound without smoothness.
+
+A bound of the worst of listed starts of a box is tested over the box as well: no fresh start refutes it, but the
+finding says whether it may be read as one of the box.
+"""
 
 import math
 from array import array
@@ -25,6 +29,7 @@ from ..plan import ProblemPlan, block_size, value_range
 from ..ports import Recorded
 from ..seeds import rollout_seed, rollout_seeds, uniform
 from ..series import Account, Series
+from ..starts import Draws
 
 LEVEL = 0.05
 """Failure probability of each of its statements; after the k-th extension of the campaign this times 2^-k.
@@ -123,7 +128,7 @@ class SpotCheck:
 
     @classmethod
     def wanted(cls, header: Header, accounts: Mapping[str, Account]) -> bool:
-        """Whether the campaign has a spot check: on a box, where some problem has a bound.
+        """Whether the campaign has a spot check: on a box, or listed starts of one, where some problem has a bound.
 
         A counterexample has answered the question: no further start is simulated. Neither is one where the campaign
         is to end with a refutation.
@@ -212,7 +217,7 @@ class SpotCheck:
 
     def findings(self) -> list[tuple[ProblemPlan, SpotFinding]]:
         """Return the finding about every tested bound."""
-        return [(plan, self._tests.finding(k)) for k, plan in enumerate(self._plans)]
+        return [(plan, _claimed(plan, self._tests.finding(k))) for k, plan in enumerate(self._plans)]
 
     @property
     def refuted(self) -> bool:
@@ -267,7 +272,7 @@ class SpotCheck:
 def spot_check_plan(header: Header, plans: Collection[ProblemPlan], name: str = SPOT_CHECK) -> state.Plan | None:
     """Return the tests of the spot check of these problems; None for a campaign that has none, whatever its bounds."""
     config, noisy = header.config, header.spec.noisy
-    if not config.spot_check or not all(isinstance(each.candidates, Lattice) for each in plans):
+    if not config.spot_check or not all(each.box and each.candidates is not None for each in plans):
         return None
     used = {variant for plan in plans for variant in plan.variants}
     # Replicates of a variant without noise would be copies, and no follow-up tells more of it.
@@ -333,10 +338,17 @@ def _limit(account: Account) -> float:
     return math.inf if upper is None or math.isinf(upper) else round_up(upper)
 
 
+def _claimed(plan: ProblemPlan, found: SpotFinding) -> SpotFinding:
+    """Return a finding about what is claimed: of listed starts a fresh one between them refutes nothing."""
+    return replace(found, status="beyond") if found.status == "refuted" and plan.listed is not None else found
+
+
 def _uniform_starts(header: Header, plans: list[ProblemPlan], name: str) -> list[tuple[float, ...]]:
-    """Return the starts, uniform over the box, parameters in the order of the system."""
-    box = plans[0].candidates
-    assert isinstance(box, Lattice)
+    """Return the starts, uniform over the box or its region, parameters in the order of the system."""
+    box, count = plans[0].candidates, header.config.spot_check
+    if not isinstance(box, Lattice):
+        draws = Draws(header, name)
+        return [draws.start(number) for number in range(count)]
     low, high = np.array(box.low), np.array(box.high)
-    shares = uniform(header, name, range(header.config.spot_check), len(low))
+    shares = uniform(header, name, range(count), len(low))
     return [tuple(float(v) for v in row) for row in low + shares * (high - low)]

@@ -417,9 +417,18 @@ def _spot_sentences(
         yield f"{violate}; at a uniform start a rollout does so with probability at most {share}."
 
 
+OF_STATUS = {
+    "refuted": "REFUTED, ",
+    "not refuted": "not refuted, ",
+    "beyond": "it is one of the listed starts and FALSE over the box, ",
+    "not testable": "",
+}
+"""What the spot check found, before its numbers."""
+
+
 def _spot_finding(found: SpotCheckedProblem, spot: SpotCheck) -> str:
     """Return the finding for one bound: of a deterministic value by its violations, of a noisy one by its evidence."""
-    refuted = "REFUTED, " if found.status == "refuted" else "not refuted, "
+    refuted = OF_STATUS[found.status]
     if found.status == "not testable":
         return "not tested, because nothing bounds its noise"
     if found.violated_share is not None:

@@ -179,7 +179,7 @@ def _about(question: str, spec: SystemSpec) -> str:
     if row.drawn:
         starts = "starts that are drawn from the ranges"
     elif count > LATTICE_PARAMETERS:
-        number = FIXED_STARTS["rigorous"].default
+        number = FIXED_STARTS["rigorous"].proposed
         starts = f"the worst of {number:,} listed starts alone; `--question how-often` is about the whole ranges"
     else:
         starts = "all starts of the ranges"
@@ -376,7 +376,7 @@ def _first_campaign(
         question=question,
         basis=basis if needs_clip else replace(basis, clip=None),
         lengths=values.length_scales(spec.parameters),
-        candidates=FIXED_STARTS["rigorous"].default if not question.drawn and many else None,
+        candidates=FIXED_STARTS["rigorous"].proposed if not question.drawn and many else None,
         size=size or first_size(cost, noisy=bool(noisy), variants=variants),
         noisy=noisy,
         cost=cost,

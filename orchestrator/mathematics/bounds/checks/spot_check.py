@@ -139,7 +139,7 @@ SUSPICIOUS = 2.0
 """A start is suspicious while its mean excess plus this many standard errors is positive."""
 
 Marks = NDArray[np.bool_]
-SpotStatus = Literal["refuted", "not refuted", "not testable"]
+SpotStatus = Literal["refuted", "not refuted", "not testable", "beyond"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,7 +176,8 @@ class Hypothesis:
 class SpotFinding:
     """The result for one hypothesis; `not refuted` is no evidence beyond `share`.
 
-    `not testable`: the values are noisy, and neither bounded nor of a known scale, so that no bet is safe.
+    `not testable`: the values are noisy, and neither bounded nor of a known scale, so that no bet is safe. `beyond`:
+    the limit is false in D, and whoever asked has claimed it of a part of D alone.
     """
 
     name: str

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from perfbound.orchestrator.certificate import files
+from perfbound.orchestrator.certificate.verdict import UNDER_REFUTED
 from perfbound.orchestrator.certificate.words import text
 from perfbound.orchestrator.run.known import verdict_of
 from perfbound.orchestrator.store.read import stored_header
@@ -145,3 +146,29 @@ def test_what_is_claimed_of_means_at_most_starts_names_the_clip(tmp_path: Path, 
     (note,) = (each for each in text.notes(certificate.predicate, 0) if each.startswith("Without a kernel: "))
     words = "the expected robustness, clipped to [-0.2, 1], is" if noisy else "the robustness is"
     assert f"{words} at least 0." in note
+
+
+def dip(request: RolloutRequest) -> float:
+    """A rollout violates the specification in a strip of 4 % of the box, without one of four listed starts."""
+    return -0.2 if 0.6 < request.x[0] < 0.64 else 0.5
+
+
+@pytest.mark.parametrize("method", ["rigorous", "scenario"])
+def test_violations_between_listed_starts_refute_nothing_and_are_said(tmp_path: Path, method: str) -> None:
+    problem = {"method": "scenario", "alpha": 0.1} if method == "scenario" else {**PAIR[0], "name": "robustness"}
+    config = robustness(problem, candidates=4, where="z2 <= 0.9", clip=(-1.0, 1.0), max_tests=40, spot_check=100)
+    found = simulate(tmp_path, config, dip, noisy=False)
+    claim, checked = predicate(found)["claims"][0], predicate(found)["spot_check"]
+    assert (claim["starts"], claim["refuted"], claim["bound"] > 0) == (4, [], True)
+    (problem,) = checked["problems"]
+    assert (problem["status"], problem["violations"]) == ("beyond", checked["failures"])
+    assert problem["violations"] > 0
+    assert problem["start"][1] <= 0.9, "of the region alone"
+    assert 0.6 < problem["start"][0] < 0.64
+    assert not verified(tmp_path)
+    certificate = files.read(tmp_path)
+    assert certificate is not None
+    verdict = verdict_of(tmp_path, stored_header(tmp_path), certificate)
+    assert verdict.verdict == "VIOLATED", "a rollout of the system fails, wherever it starts"
+    assert says(" ".join(verdict.reasons), "fresh start none of the 4 listed")
+    assert not verdict.claim.startswith(UNDER_REFUTED)

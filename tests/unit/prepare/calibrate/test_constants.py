@@ -103,7 +103,7 @@ def test_a_draft_needs_no_constants(tmp_path: Path) -> None:
         (f"{HEAD}[[claims]]\nquantity = 'mean'\n", "claims: decides what is claimed"),
         (f"falsify = {{}}\n{HEAD}", "falsify: a search needs no constants"),
         (f"{PAPER}{HEAD}", "'paper' has no constants"),
-        ("method = 'scenario'\nalpha = 1\nclip = [-1, 1]\n" + HEAD, "'scenario' has no constants"),
+        ("method = 'scenario'\ncandidates = 9\nalpha = 1\nclip = [-1, 1]\n" + HEAD, "'scenario' has no constants"),
         (HEAD.replace("z1 = [0, 5]\nspace.z2 = [0, 5]", "scenarios = [[0, 1]]"), "space: a kernel on a list"),
         (f"rkhs_nrm = 1\n{HEAD}", "did you mean 'rkhs_norm'"),
         (f"problems = 3\n{HEAD}", "problems: 3 is not allowed"),

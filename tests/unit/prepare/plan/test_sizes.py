@@ -46,6 +46,8 @@ def table(method: str, parameters: int, **changes: Any) -> dict[str, Any]:
     problem = {key: ALL[key] for key in KEYS[method]} | {"method": method} | changes.pop("problem", {})
     found = {"name": "c", "system": {"name": "any"}, "specification": "v >= 0", "clip": [-1, 1], "horizon": 4}
     space = {f"x{k}": [0, 1] for k in range(parameters)}
+    if method == "scenario":
+        found["candidates"] = 64
     return {**found, "space": space, "problems": [problem], **changes}
 
 
@@ -84,7 +86,7 @@ def remedied(found: Mapping[str, Any], line: str) -> list[dict[str, Any]]:
         for key, value in re.findall(r"(points|max_tests|resolution|candidates) = (\d+)", remedy)
     ]
     for method, _, starts in re.findall(r"'(\w+)'( with candidates = (\d+))?", choice):
-        changes = {"problems": [{key: ALL[key] for key in KEYS[method]} | {"method": method}]}
+        changes: dict[str, Any] = {"problems": [{key: ALL[key] for key in KEYS[method]} | {"method": method}]}
         ways.append({**found, **changes, **({"candidates": int(starts)} if starts else {})})
     if "remove regions" in remedy:
         ways = [{key: each for key, each in way.items() if key != "regions"} for way in ways or [dict(found)]]
@@ -124,7 +126,7 @@ def test_every_size_fits_or_has_a_way_out(method: str, parameters: int) -> None:
 def test_what_is_accepted_is_planned_within_a_bound(method: str, parameters: int) -> None:
     found = table(method, parameters)
     line = refusal(found, parameters)
-    assert (line is not None) == (method in ("paper", "kriging"))
+    assert (line is not None) == (method in ("paper", "kriging", "rigorous"))
     for each in [found] if line is None else remedied(found, line):
         assert planned(parsed(each), parameters) < PLANNED
 
@@ -148,9 +150,9 @@ def with_regions(parameters: int, resolution: int | None) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("parameters", "resolution", "facts"),
     [
-        (6, None, "regions: 6 resolution = 6"),
+        (6, None, "resolution: 21 85,766,121 resolution = 6"),
         (6, 7, "resolution: 7 117,649 resolution = 6"),
-        (40, None, "regions: 40 remove"),
+        (40, None, "resolution: 21 40 remove regions candidates = 4096"),
         (40, 3, "resolution: 3 40 remove regions candidates = 4096"),
     ],
 )
@@ -213,7 +215,9 @@ def test_the_default_budget_fits_every_lattice_that_is_allowed() -> None:
 
 
 def with_requirements(number: int) -> dict[str, Any]:
-    found = table("rigorous", 6, specifications=dict.fromkeys([f"r{k}" for k in range(number)], "v >= 0"))
+    found = table(
+        "rigorous", 6, candidates=4096, specifications=dict.fromkeys([f"r{k}" for k in range(number)], "v >= 0")
+    )
     del found["specification"]
     return found
 
@@ -239,7 +243,7 @@ def test_more_tests_for_a_finished_campaign_are_counted_and_its_other_sizes_are_
 
 
 def test_fixed_starts_in_place_of_a_lattice_are_said_in_a_line() -> None:
-    listed, whole = (parsed(table("rigorous", parameters)) for parameters in (4, 3))
+    listed, whole = parsed(table("rigorous", 4, candidates=4096)), parsed(table("rigorous", 3))
     (line,) = scope(plans(listed, spec(4)), listed_alone=True)
     assert says(line, "robustness: 4,096 4 parameters 'sample'")
     assert list(scope(plans(whole, spec(3)), listed_alone=True)) == []
