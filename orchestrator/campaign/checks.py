@@ -22,7 +22,7 @@ from ...schemas.file.space import space_kind
 from ...schemas.ranges import MAX_FILE_BYTES
 from ...schemas.system import SystemSpec
 from ..mathematics.bounds.cost import BLOCKS, LARGEST_MEMORY, LARGEST_PLAN, MethodSize, most
-from ..mathematics.bounds.kriging.design import points_per_parameter
+from ..mathematics.bounds.kriging.design import GRID_PARAMETERS, points_per_parameter
 from ..mathematics.gp.kernels import Matern
 from ..mathematics.stl.horizon import check_horizon
 from ..mathematics.stl.parser import FormulaError, columns, parse_formula
@@ -180,6 +180,8 @@ def _method_size(config: CampaignKeys, problem: Problem, tests: int | None) -> M
 
 
 def _points(config: CampaignKeys, problem: KrigingProblem, parameters: int, tests: int) -> int:
+    if parameters > GRID_PARAMETERS:  # the points of more are scattered
+        return 0
     default = points_per_parameter(parameters, tests, config.replicates_of(problem))
     return problem.points or min(default, config.resolution_of(problem))
 

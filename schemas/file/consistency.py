@@ -8,6 +8,7 @@ from .drawn_claims import SAMPLED, UP_TO_CHANCE, ClaimRequest, DrawnClaim, drawn
 from .keys import CampaignKeys
 from .logs import RecordedTest
 from .method_spaces import (
+    LATTICE_PARAMETERS,
     check_lattice,
     check_region,
     check_space,
@@ -244,8 +245,14 @@ def _check_design(config: CampaignKeys, problem: KrigingProblem, where: str) -> 
         raise ValueError(
             "falsify: method 'kriging' plans every start beforehand; remove this key, or choose 'rigorous'"
         )
+    if problem.points is None or not isinstance(config.space, dict):
+        return
     resolution = config.resolution_of(problem)
-    if problem.points is not None and problem.points > resolution:
+    if len(parameter_ranges(config.space)) > LATTICE_PARAMETERS:
+        raise ValueError(
+            f"{where}.points: only for at most {LATTICE_PARAMETERS} parameters, whose starts are a grid; remove it"
+        )
+    if problem.points > resolution:
         raise ValueError(f"{where}.points: {problem.points} is more than the {resolution} nodes per parameter")
 
 

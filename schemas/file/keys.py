@@ -10,7 +10,7 @@ from .composition import ComposedClaim, Rule, is_composed
 from .disturbance import MAX_DISTURBANCES, Disturbance
 from .drawn_claims import SAMPLED, ClaimRequest, DrawnClaim, drawn_claims
 from .logs import MAX_LOGS, RecordedTest
-from .method_spaces import MAX_CANDIDATES, MOST_STARTS, RESOLUTION, fixed_starts
+from .method_spaces import MAX_CANDIDATES, MOST_STARTS, RESOLUTION, fixed_starts, nodes_per_parameter
 from .objectives import OBJECTIVES, Sense
 from .problem_models import Falsify, Gap, Problem, SampleProblem
 from .requirements import MOST, Requirement, conjunction
@@ -48,10 +48,6 @@ class CampaignSize(Model):
     def replicates_of(self, problem: Problem) -> int:
         """Return the rollouts per test and variant of one problem."""
         return problem.replicates or self.replicates
-
-    def resolution_of(self, problem: Problem) -> int:
-        """Return the lattice nodes per parameter of one problem."""
-        return problem.resolution or self.resolution
 
     def max_tests_of(self, problem: Problem) -> int:
         """Return the budget of one problem."""
@@ -281,6 +277,10 @@ class CampaignKeys(CampaignSize):
     def gap_of(self, problem: Problem) -> Gap | None:
         """Return the gap of one problem; None for one that compares no trajectories."""
         return problem.gap or self.gap if OBJECTIVES[problem.name].measured == "gap" else None
+
+    def resolution_of(self, problem: Problem) -> int:
+        """Return the lattice nodes per parameter of one problem."""
+        return nodes_per_parameter(problem.method, self.space, problem.resolution or self.resolution)
 
     def starts_of(self, problem: Problem) -> int | None:
         """Return how many listed starts of the box a problem chooses from; None for a lattice, a list and draws."""

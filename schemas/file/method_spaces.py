@@ -31,6 +31,8 @@ NODES: Mapping[MethodName, int] = {"kriging": 10_000}
 """Nodes of the largest lattice of methods with another limit: kernel values in every cell are kept, 5 kB each."""
 LATTICE_PARAMETERS = 3
 """A lattice of the default resolution covers a box of at most so many parameters."""
+CELLS_OF_MORE: Mapping[int, int] = {4: 6, 5: 5, 6: 3}
+"""Nodes per parameter of method `kriging` by default, by the number of parameters: its starts are scattered there."""
 MOST_STARTS = 5000
 """Of the Sobol sequence; kernel rows over them are kept, 40 kB each."""
 
@@ -126,6 +128,19 @@ def largest_resolution(method: MethodName, parameters: int) -> int:
     return bisect_right(range(1, most + 1), most, key=lambda resolution: resolution**parameters)
 
 
+def nodes_per_parameter(method: MethodName, space: Space, given: int) -> int:
+    """Return the nodes per parameter of the lattice of a method; `given` is the key `resolution` of the file.
+
+    >>> from perfbound.schemas.file.space import Range
+    >>> boxes = [{name: Range(low=0.0, high=1.0) for name in names} for names in ("abc", "abcd")]
+    >>> [nodes_per_parameter("kriging", box, RESOLUTION) for box in boxes], nodes_per_parameter("kriging", boxes[1], 8)
+    ([21, 6], 8)
+    """
+    if method != "kriging" or given != RESOLUTION or not isinstance(space, dict):
+        return given
+    return CELLS_OF_MORE.get(len(parameter_ranges(space)), given)
+
+
 def check_lattice(
     problem: ProblemName, method: MethodName, box: Box, resolution: int, where: str, *, regions: bool
 ) -> None:
@@ -137,9 +152,9 @@ def check_lattice(
     """
     parameters, most = len(parameter_ranges(box)), NODES.get(method, MAX_CANDIDATES)
     # First: a smaller lattice would be refused for this reason.
-    if method == "kriging" and parameters > LATTICE_PARAMETERS:
+    if method == "kriging" and parameters > max(CELLS_OF_MORE):
         raise ValueError(
-            f"{where}.method: 'kriging' is for at most {LATTICE_PARAMETERS} parameters, not {parameters}; choose "
+            f"{where}.method: 'kriging' is for at most {max(CELLS_OF_MORE)} parameters, not {parameters}; choose "
             f"{without_lattice(problem)}"
         )
     fitting = largest_resolution(method, parameters)

@@ -241,7 +241,7 @@ class KrigingProblem(_BallProblem, _PlannedProblem):
         ge=2,
         le=9,
         description="starts per parameter, more along one with a short length scale and fewer along others; by default "
-        "5 at most, fewer for a small budget",
+        "5 at most, fewer for a small budget; not with more than 3 parameters, whose starts are scattered",
     )
 
     @model_validator(mode="after")

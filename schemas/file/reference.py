@@ -48,7 +48,7 @@ PROBLEM_KEYS = """
 METHODS = """
 ## Methods
 
-Method `kriging` bounds at most three parameters. It makes all `max_tests` tests, as `sample` draws so many starts.
+Method `kriging` bounds at most six parameters. It makes all `max_tests` tests, as `sample` draws so many starts.
 [Which question do you have?](questions.md) has examples.
 
 | method | meaning | spaces | `method` may be left out |

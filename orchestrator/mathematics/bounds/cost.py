@@ -7,7 +7,7 @@
 | T      | `tests`      | tests at most                                                   | 1    |
 | n      | `distinct`   | of them, those at other starts                                  | 1    |
 | w      | `window`     | tests in flight                                                 | 1    |
-| q      | `design`     | points of the design of method `kriging`, `per_axis`^p          | 1    |
+| q      | `design`     | most points of the design of method `kriging`                   | 1    |
 | s      |              | points of the subgrid of a cell                                 | 1    |
 |        | `memory`     | what the method keeps and what it computes with, at its largest | B    |
 |        | `operations` | additions and multiplications                                   | 1    |
@@ -23,6 +23,7 @@ from typing import Literal
 
 from ..blocks import LARGEST
 from .kriging.cells import PER_AXIS
+from .kriging.design import most_points
 from .kriging.weights import STEPS
 
 LARGEST_MEMORY = 8e9
@@ -67,7 +68,7 @@ class MethodSize:
     @property
     def design(self) -> int:
         """Points of a design."""
-        return int(self.per_axis**self.parameters)
+        return most_points(self.parameters, self.per_axis)
 
     @property
     def memory(self) -> float:

@@ -23,7 +23,7 @@ from ....schemas.file.problem_models import KrigingProblem
 from ....schemas.values import Guess
 from ...campaign.methods import kernel_method
 from ...campaign.plan import ProblemPlan
-from ...mathematics.bounds.kriging.design import points_per_parameter
+from ...mathematics.bounds.kriging.design import most_points, points_per_parameter
 from ...mathematics.bounds.kriging.method import KrigingMethod
 from ...mathematics.calibration.kernel_fit import KernelFit
 from ...mathematics.gp.kernels import Floats, squared_distances
@@ -265,5 +265,5 @@ def division(rollouts: int, parameters: int) -> tuple[int, int]:
     [(50, 2), (100, 4), (100, 16)]
     """
     points = points_per_parameter(parameters, rollouts, 1)
-    tests = min(max(FEWEST_TESTS, TESTS_OF_A_POINT * points**parameters), rollouts)
+    tests = min(max(FEWEST_TESTS, TESTS_OF_A_POINT * most_points(parameters, points)), rollouts)
     return tests, max(1, round(rollouts / tests))

@@ -293,7 +293,8 @@ class TestTwoSystems:
         ({}, {"where": "z1 <= z2"}, "space.where: 'kriging'"),
         ({}, {"candidates": 64}, "candidates"),
         ({}, {"clip": None}, "clip: required 'robustness'"),
-        ({}, {"space": {name: {"low": 0, "high": 1} for name in "abcd"}, "resolution": 4}, "at most 3 parameters"),
+        ({}, {"space": {name: {"low": 0, "high": 1} for name in "abcdefg"}}, "at most 6 parameters"),
+        ({"points": 3}, {"space": {name: {"low": 0, "high": 1} for name in "abcd"}}, "points: at most 3 parameters"),
     ],
 )
 def test_what_it_cannot_do_is_refused_with_a_remedy(

@@ -25,7 +25,7 @@ from ...gp.kernels import Floats, scaled
 from ...gp.lattice import Lattice
 from ...gp.radial import Radial
 
-PER_AXIS = {1: 9, 2: 5, 3: 3}
+PER_AXIS = {1: 9, 2: 5, 3: 3, 4: 3, 5: 2, 6: 2}
 """Points of the subgrid of a cell per axis, by the number of axes."""
 
 

@@ -2,20 +2,22 @@
 
 | symbol | name     | meaning                                        | shape | unit |
 |--------|----------|------------------------------------------------|-------|------|
-| p      |          | number of parameters, 1 to 3                   | ()    | -    |
-| q      | `size`   | number of points of the design, k^p at most    | ()    | -    |
+| p      |          | number of parameters, 1 to 6                   | ()    | -    |
+| q      | `size`   | number of points of the design                 | ()    | -    |
 | l_j    | `lengths` | length scales of the kernel                   | (p,)  | of x |
 | x_i    | `nodes`  | point i, as the index of a node of the lattice | (q,)  | -    |
 | n_i    | `counts` | tests at x_i within the budget                 | (q,)  | -    |
 |        | `order`  | point of every test, as its number i           | (T,)  | -    |
 
-Corners and edges get more tests than inner points: a lower bound is extrapolated there, and the minimum of many
-systems is there. The order keeps the counts in proportion after every test, corners first.
+Of up to three parameters the points are a grid of k^p at most; of more, the corners of the box and points of the Sobol
+sequence, scattered between them. Corners and edges get more tests than inner points: a lower bound is extrapolated
+there, and the minimum of many systems is there. The order keeps the counts in proportion after every test, corners
+first.
 """
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from heapq import heapify, heapreplace
 from itertools import product
@@ -23,6 +25,7 @@ from itertools import product
 import numpy as np
 
 from ...gp.lattice import Lattice
+from ...sobol import sobol_blocks
 
 # Equal shares cost 0.009 of a Segway bound at 1,600 rollouts and nothing at 6,400; steeper ones gained no more than the
 # noise of the seeds.
@@ -33,8 +36,12 @@ PER_PARAMETER = ((400, 5), (150, 4), (0, 3))
 PER_PARAMETER_OF_THREE = ((10_000, 4), (0, 3))
 FEWEST_ALONG = 3
 """Two points along a parameter were worse even where the middle of three had no test."""
-MOST_PARAMETERS = 3
-"""No number of points fills a box of more."""
+GRID_PARAMETERS = 3
+"""No grid fills a box of more."""
+SCATTERED = {4: 40, 5: 64, 6: 96}
+"""Points of a design of more parameters, corners included; half or twice as many changed bounds by less than .02 B."""
+OF_A_CORNER = 6
+"""Tests at a corner for each one at another scattered point; 3 was worse by .02 B, 1 by .07."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +75,7 @@ def points_per_parameter(parameters: int, tests: int, replicates: int) -> int:
     >>> [points_per_parameter(2, tests, 64) for tests in (8, 24, 25)]
     [3, 4, 5]
     """
-    table = PER_PARAMETER_OF_THREE if parameters == MOST_PARAMETERS else PER_PARAMETER
+    table = PER_PARAMETER_OF_THREE if parameters == GRID_PARAMETERS else PER_PARAMETER
     points = next(points for least, points in table if tests * replicates >= least)
     # Points without a test leave gaps.
     while points > FEWEST_ALONG and points**parameters > tests:
@@ -76,11 +83,19 @@ def points_per_parameter(parameters: int, tests: int, replicates: int) -> int:
     return points
 
 
+def most_points(parameters: int, points: int) -> int:
+    """Return the most points of a design: `points` for each parameter of a grid, or those that are scattered."""
+    return points**parameters if parameters <= GRID_PARAMETERS else SCATTERED[parameters]
+
+
 def plan_design(lattice: Lattice, tests: int, points: int, lengths: Sequence[float]) -> Design:
     """Return the design of `tests` tests at `points`^p points at most, the nodes nearest to equal distances.
 
+    Of more than three parameters their number is that of `SCATTERED`; `points` and `lengths` have no effect there.
+
     Raises:
-        ValueError: there are more than three parameters, fewer than 2 points per parameter, or more than nodes.
+        ValueError: there are more than six parameters, or of a grid fewer than 2 points per parameter, or more than
+            nodes.
 
     >>> design = plan_design(Lattice((0.0, 0.0), (1.0, 1.0), 5), 12, 3, (0.5, 0.5))
     >>> design.nodes
@@ -89,8 +104,10 @@ def plan_design(lattice: Lattice, tests: int, points: int, lengths: Sequence[flo
     ((0, 2, 6, 8, 1, 3, 5, 7, 0, 2, 6, 8), (2, 1, 2, 1, 0, 1, 2, 1, 2))
 
     """
-    if lattice.dimension > MOST_PARAMETERS:
-        raise ValueError(f"a design is for at most {MOST_PARAMETERS} parameters, not {lattice.dimension}")
+    if lattice.dimension > max(SCATTERED):
+        raise ValueError(f"a design is for at most {max(SCATTERED)} parameters, not {lattice.dimension}")
+    if lattice.dimension > GRID_PARAMETERS:
+        return _design(_scattered(lattice, SCATTERED[lattice.dimension]), tests)
     if not 2 <= points <= lattice.resolution:
         raise ValueError(
             f"points must be between 2 and the {lattice.resolution} nodes per parameter, not {points}; fix points or "
@@ -101,10 +118,27 @@ def plan_design(lattice: Lattice, tests: int, points: int, lengths: Sequence[flo
     lasts = [each - 1 for each in along]
     places = list(product(*map(range, along)))
     shares = [SHARES[sum(k in (0, last) for k, last in zip(place, lasts, strict=True))] for place in places]
-    order = _interleaved(shares, tests)
-    nodes = tuple(_node(lattice, place, lasts) for place in places)
+    return _design({_node(lattice, place, lasts): share for place, share in zip(places, shares, strict=True)}, tests)
+
+
+def _design(shares: Mapping[int, int], tests: int) -> Design:
+    """Return the design of nodes with their shares of the tests."""
+    order = _interleaved(list(shares.values()), tests)
     counts = Counter(order)
-    return Design(nodes, tuple(counts[i] for i in range(len(places))), order)
+    return Design(tuple(shares), tuple(counts[i] for i in range(len(shares))), order)
+
+
+def _scattered(lattice: Lattice, points: int) -> dict[int, int]:
+    """Return the corners of a box and the nodes nearest to points of the Sobol sequence, each with its share."""
+    last = lattice.resolution - 1
+    corners = product((0, last), repeat=lattice.dimension)
+    # The coordinates of the sequence are whole multiples of 2^-30: no CPU rounds them differently.
+    between = np.floor(next(sobol_blocks(lattice.dimension)) * last + 0.5).astype(int).tolist()
+    found = {_index(lattice, place): OF_A_CORNER for place in corners}
+    for place in between:
+        if len(found) < points:
+            found.setdefault(_index(lattice, place), 1)
+    return found
 
 
 def points_along(points: int, ranges: Sequence[float], most: int) -> tuple[int, ...]:
@@ -128,10 +162,16 @@ def points_along(points: int, ranges: Sequence[float], most: int) -> tuple[int, 
 
 def _node(lattice: Lattice, place: tuple[int, ...], lasts: Sequence[int]) -> int:
     """Return the node nearest to an equally spaced point."""
+    # Whole numbers alone: no CPU rounds this differently.
+    most = lattice.resolution - 1
+    return _index(lattice, [(2 * k * most + last) // (2 * last) for k, last in zip(place, lasts, strict=True)])
+
+
+def _index(lattice: Lattice, place: Sequence[int]) -> int:
+    """Return the index of the node with these places along the parameters."""
     index = 0
-    for k, last in zip(place, lasts, strict=True):
-        # Whole numbers alone: no CPU rounds this differently.
-        index = index * lattice.resolution + (2 * k * (lattice.resolution - 1) + last) // (2 * last)
+    for k in place:
+        index = index * lattice.resolution + k
     return index
 
 
@@ -141,7 +181,7 @@ def _interleaved(shares: list[int], tests: int) -> tuple[int, ...]:
     The next test is at the point with the largest share of the next odd number (Sainte-Lague), the lowest of a tie.
     """
     # share_i/(2 n_i + 1) is compared in whole numbers: no CPU rounds them differently.
-    common = math.lcm(*SHARES)
+    common = math.lcm(*shares)
     waiting = [(common // share, i) for i, share in enumerate(shares)]
     heapify(waiting)
     found = []

@@ -126,7 +126,7 @@ def test_every_size_fits_or_has_a_way_out(method: str, parameters: int) -> None:
 def test_what_is_accepted_is_planned_within_a_bound(method: str, parameters: int) -> None:
     found = table(method, parameters)
     line = refusal(found, parameters)
-    assert (line is not None) == (method in ("paper", "kriging", "rigorous"))
+    assert (line is not None) == (method in ("paper", "rigorous") or (method == "kriging" and parameters > 6))
     for each in [found] if line is None else remedied(found, line):
         assert planned(parsed(each), parameters) < PLANNED
 

@@ -90,11 +90,26 @@ class TestDesign:
         assert [points_per_parameter(2, n, 64) for n in (8, 15, 16, 24, 25)] == [3, 3, 4, 4, 5]
         assert [points_per_parameter(3, n, 200) for n in (60, 63, 64)] == [3, 3, 4]
 
+    @pytest.mark.parametrize(("parameters", "resolution", "size"), [(4, 6, 40), (5, 5, 64), (6, 3, 96), (6, 2, 64)])
+    def test_of_more_parameters_corners_come_first_and_the_rest_is_scattered(
+        self, parameters: int, resolution: int, size: int
+    ) -> None:
+        lattice = Lattice((0.0,) * parameters, (1.0,) * parameters, resolution)
+        design = plan_design(lattice, 900, 2, lattice.high)
+        nodes, corners = lattice.nodes[list(design.nodes)], 2**parameters
+        assert design.size == len(set(design.nodes)) == size
+        assert set(map(tuple, nodes[:corners].tolist())) == set(itertools.product((0.0, 1.0), repeat=parameters))
+        assert set(design.order[:corners]) == set(range(corners))
+        if size > corners:
+            assert design.counts[0] / design.counts[-1] == pytest.approx(6, rel=0.4)
+            assert 0.2 < np.std(nodes[corners:]) < 0.45
+            assert np.abs(nodes[corners:].mean(axis=0) - 0.5).max() < 0.1
+
     @pytest.mark.parametrize(
-        ("lattice", "points"), [(SQUARE, 1), (SQUARE, 10), (Lattice((0.0,) * 4, (1.0,) * 4, 3), 3)]
+        ("lattice", "points"), [(SQUARE, 1), (SQUARE, 10), (Lattice((0.0,) * 7, (1.0,) * 7, 2), 2)]
     )
     def test_what_cannot_be_planned_is_refused(self, lattice: Lattice, points: int) -> None:
-        with pytest.raises(ValueError, match=r"points must be|at most 3 parameters"):
+        with pytest.raises(ValueError, match=r"points must be|at most 6 parameters"):
             plan_design(lattice, 10, points, lattice.high)
 
 
@@ -176,11 +191,12 @@ class TestWeights:
 
 class TestCells:
     @pytest.mark.parametrize("nu", [0.5, 1.5, 2.5, 3.2])
-    @pytest.mark.parametrize("dimension", [1, 2, 3])
+    @pytest.mark.parametrize("dimension", [1, 2, 3, 4, 5, 6])
     def test_a_sum_of_kernels_is_not_lower_in_a_cell(self, nu: float, dimension: int) -> None:
         rng = np.random.default_rng(1)
-        lattice = Lattice((0.0,) * dimension, (1.0, 2.0, 1.5)[:dimension], 4)
-        radial = Radial(Matern(nu, (0.5, 0.9, 0.7)[:dimension]))
+        sides, lengths = (1.0, 2.0, 1.5, 1.0, 0.5, 1.0), (0.5, 0.9, 0.7, 0.6, 0.8, 0.5)
+        lattice = Lattice((0.0,) * dimension, sides[:dimension], 4 if dimension < 4 else 3)
+        radial = Radial(Matern(nu, lengths[:dimension]))
         points = lattice.nodes[rng.choice(lattice.size, 4, replace=False)]
         cells = NodeCells(lattice, radial, points)
         assert has_bend(cells.sag) == (nu > 1)
@@ -434,3 +450,25 @@ class TestManyAtOnce:
             with pytest.raises(ValueError, match=r"no point|at least one|must be in"):
                 method.recall(tests)
         assert state_of(method) == before
+
+
+@pytest.mark.parametrize("parameters", [4, 5])
+def test_of_more_parameters_the_bound_is_true_and_shows_more_than_the_prior(parameters: int) -> None:
+    """Half of `statistical`: a function of known norm, whose least value is near the least of many starts."""
+    rng, ones = np.random.default_rng(parameters), (1.0,) * parameters
+    lattice, kernel = Lattice((0.0,) * parameters, ones, 4), Matern(2.5, 3.0)
+    radial, centres, a = Radial(kernel), rng.uniform(0, 1, (6, parameters)), rng.normal(size=6)
+    a *= 0.3 / math.sqrt(float(a @ between(radial, centres, centres) @ a))
+    seen = np.vstack([rng.random((5000, parameters)), list(itertools.product((0.0, 1.0), repeat=parameters))])
+    largest = float((between(radial, seen, centres) @ a).max())
+    method = KrigingMethod(
+        lattice, kernel, KrigingPremises(0.4, 0.0, (-1.0, 1.0), 0.05), spread=0.1, budget=KrigingBudget(240, 10, 2)
+    )
+    for _ in range(240):
+        proposal = method.propose()
+        mean = float((between(radial, np.array([proposal.x]), centres) @ a)[0])
+        values = np.clip(mean + 0.1 * rng.standard_normal(10), -1, 1)
+        bound = method.observe(proposal, Observation(float(values.mean()), tuple(values.tolist())))
+    assert bound.upper is not None
+    assert largest - 1e-3 < bound.upper < largest + 0.2
+    assert bound.upper < 0.4, "B and the prior mean alone"
