@@ -103,6 +103,7 @@ def calibrate(*, campaign: Path, rollouts: int, seed: int, workers: int, out: Pa
     from ...schemas.file.draft import load_draft  # noqa: PLC0415
 
     load_draft(campaign)  # a fault of the file is reported before the numerics are loaded
+    from ..prepare.calibrate.answer import answer  # noqa: PLC0415
     from ..prepare.calibrate.calibrate import CalibrationWish  # noqa: PLC0415
     from ..prepare.calibrate.output import calibration_of, closing_lines, constants_table  # noqa: PLC0415
 
@@ -112,6 +113,7 @@ def calibrate(*, campaign: Path, rollouts: int, seed: int, workers: int, out: Pa
         found = calibration_of(
             wish, folder, lambda name, done, total: shown.update(f"{name}: {done:,} of about {total:,} rollouts")
         )
+    click.echo(answer(found))
     console = output_console()
     for problem in found.problems:
         if problem.constants:
