@@ -68,11 +68,14 @@ def plan_command(*, campaign: Path, workers: int, as_json: bool) -> None:
     from ...schemas.file.reader import load_campaign  # noqa: PLC0415
 
     config = load_campaign(campaign)  # a fault of the file is reported before the numerics are loaded
+    from rich.progress import Progress  # noqa: PLC0415
+
+    from ..certificate.verify.stages import stage_bars  # noqa: PLC0415
     from ..prepare.plan.plan import plan_campaign  # noqa: PLC0415
     from ..prepare.plan.text import plan_json, print_plan  # noqa: PLC0415
 
-    with STDERR.console.status("planning") as shown:
-        found = plan_campaign(config, campaign, workers, shown.update)
+    with Progress(console=STDERR.console, transient=True, disable=not sys.stderr.isatty()) as progress:
+        found = plan_campaign(config, campaign, workers, stage_bars(progress))
     if as_json:
         click.echo(plan_json(found, config.name))
     else:
@@ -103,6 +106,7 @@ def calibrate(*, campaign: Path, rollouts: int, seed: int, workers: int, out: Pa
     from ...schemas.file.draft import load_draft  # noqa: PLC0415
 
     load_draft(campaign)  # a fault of the file is reported before the numerics are loaded
+    from ..prepare.calibrate.answer import answer  # noqa: PLC0415
     from ..prepare.calibrate.calibrate import CalibrationWish  # noqa: PLC0415
     from ..prepare.calibrate.output import calibration_of, closing_lines, constants_table  # noqa: PLC0415
 
@@ -112,6 +116,7 @@ def calibrate(*, campaign: Path, rollouts: int, seed: int, workers: int, out: Pa
         found = calibration_of(
             wish, folder, lambda name, done, total: shown.update(f"{name}: {done:,} of about {total:,} rollouts")
         )
+    click.echo(answer(found))
     console = output_console()
     for problem in found.problems:
         if problem.constants:

@@ -9,8 +9,8 @@ from typing import Any
 
 from rich.console import Console
 
+from perfbound.orchestrator.prepare.calibrate.answer import Requirement, answer, compared
 from perfbound.orchestrator.prepare.calibrate.calibrate import check_effort
-from perfbound.orchestrator.prepare.calibrate.constants import forecast_margin_words
 from perfbound.orchestrator.prepare.calibrate.file import kernel_file, sample_file
 from perfbound.orchestrator.prepare.check_system.findings import OF_PROGRAM, SYSTEM_CHECKS, SystemFinding
 from perfbound.orchestrator.prepare.check_system.judge import judge
@@ -23,7 +23,7 @@ from perfbound.orchestrator.prepare.plan.text import print_plan
 from perfbound.orchestrator.prepare.size import FirstSize
 from perfbound.schemas.system_check import SampleTimes, Trial
 from tests.texts import Cases, refusal, rows
-from tests.unit.prepare.calibrate import test_constants, test_margin
+from tests.unit.prepare.calibrate import test_answer, test_constants
 from tests.unit.prepare.check_system import test_batches, test_judge
 from tests.unit.prepare.init import test_file
 from tests.unit.prepare.plan import test_plan, test_sizes, test_text
@@ -130,7 +130,7 @@ def init(_folder: Path) -> Cases:
 
 
 def calibrate(folder: Path) -> Cases:
-    """Yield files of constants, what is said of a margin, and the refusals of drafts."""
+    """Yield files of constants, answers, and the refusals of drafts."""
     draft: dict[str, Any] = {
         "clip": [-1, 2],
         "specification": "x >= 0",
@@ -145,9 +145,14 @@ def calibrate(folder: Path) -> Cases:
         "problems": [{"name": "nominal_robustness"}],
     }
     yield "a file of constants", kernel_file(pair, [test_constants.constants("rkhs_norm")], None, "Head.")
-    for margin, _ in rows(test_margin.test_a_forecast_bound_is_compared_with_what_is_required):
-        config = test_margin.campaign(margin)
-        yield f"required_margin = {margin}", forecast_margin_words(config, config.problems[0], -0.4, -0.5)
+    for number, (margin, guess, _) in enumerate(test_answer.CASES):
+        required = Requirement("robustness", -margin, -1, "m")
+        yield f"answer {number}, required_margin = {margin}", compared(required, guess, test_answer.EFFORT)
+    exact = test_answer.found(folder, "required_margin = 0.5\n")
+    yield "answer: a rollout misses what is required", answer(exact)
+    yield "answer: no kernel", answer(replace(test_answer.found(folder), forecasts=()))
+    yield "answer: nothing else fits", answer(replace(test_answer.found(folder), forecasts=(), text=None))
+    yield "pace", exact.problems[0].measured.pace.words
     yield "more rollouts than memory allows", refusal(partial(check_effort, 100_000, test_sizes.spec(6)))
     for text, _ in rows(test_constants.test_the_error_of_a_file_that_is_no_draft_names_key_and_remedy):
         yield f"no draft: {text}", refusal(partial(test_constants.read, folder, text))

@@ -68,6 +68,10 @@ class KernelFit:
         own = kernel_matrix(self.nu, self.lengths, shares, shares)
         return np.asarray(self.amplitude**2 * (own - half.T @ half), dtype=np.float64)
 
+    def error(self, data: SampledValues, share: Floats) -> float:
+        """Return the standard error of the posterior mean at one start (p,), in the unit of the values."""
+        return math.sqrt(max(float(self.covariance(data, share[None])[0, 0]), 0.0))
+
 
 def fit_kernel(nu: float, data: SampledValues) -> KernelFit:
     """Return the kernel of smoothness `nu` with the largest likelihood, A profiled out; unit of A that of the values.

@@ -23,27 +23,22 @@ from ....schemas.file.problem_models import KrigingProblem
 from ....schemas.values import Guess
 from ...campaign.methods import kernel_method
 from ...campaign.plan import ProblemPlan
+from ...certificate.words.format import duration
 from ...mathematics.bounds.kriging.design import most_points, points_per_parameter
 from ...mathematics.bounds.kriging.method import KrigingMethod
 from ...mathematics.calibration.kernel_fit import KernelFit
 from ...mathematics.gp.kernels import Floats, squared_distances
 from ..rounded import PARTS, rounded_up
-from ..size import LEAST_COST, PER_SECOND, WORKERS
-from .constants import Constant, ProblemEvidence, spread_of
-
-# How long the rollouts of a calibrated campaign take.
-
-__all__ = ["WORKERS", "rollout_time"]
+from .constants import Constant, PilotPace, ProblemEvidence, spread_of
 
 
-def rollout_time(config: CampaignConfig, plan: ProblemPlan, cost: float, *, tests: int) -> tuple[int, float]:
-    """Return the rollouts of so many tests with the closing checks, and their seconds with `WORKERS`.
-
-    `cost` are the seconds of one rollout.
-    """
+def rollout_time(config: CampaignConfig, plan: ProblemPlan, pace: PilotPace, *, tests: int) -> tuple[int, float]:
+    """Return the rollouts of so many tests with the closing checks, and their seconds at the pace of the pilot."""
     closing = (config.spot_check + config.recheck) * len(plan.variants)
-    rollouts = tests * len(plan.rollouts) + closing
-    return rollouts, rollouts / min(PER_SECOND, WORKERS / max(cost, LEAST_COST))
+    # A test may wait for the one before it, and then a single rollout keeps the other workers idle.
+    window = min(plan.window, tests)
+    turns = tests / window * math.ceil(window * len(plan.rollouts) / pace.workers)
+    return tests * len(plan.rollouts) + closing, (turns + math.ceil(closing / pace.workers)) * pace.cost
 
 
 FEWEST, MOST = 400, 6400
@@ -74,7 +69,7 @@ class PlannedBudget:
     rollouts: int
     """With the closing checks."""
     seconds: float
-    """Of these, for `WORKERS`, and of the weights."""
+    """Of these, at the pace of the pilot, and of the weights."""
 
     @property
     def enters(self) -> int:
@@ -95,14 +90,15 @@ class BudgetForecast:
     """The bound of J that B and the prior mean prove without any rollout."""
     fitted: float
     """The largest J of the fitted function, which no bound of J may be expected to fall below."""
+    error: float
+    """Standard error of this."""
     sign: int
     """1 where J is the objective, -1 where it is minus the objective."""
-    workers: int = WORKERS
 
     @property
-    def bound(self) -> float:
+    def bound(self) -> Guess:
         """That of J by the proposed budget."""
-        return self.proposed.bound.middle
+        return self.proposed.bound
 
     @property
     def rollouts(self) -> int:
@@ -113,6 +109,16 @@ class BudgetForecast:
     def seconds(self) -> float:
         """Their duration."""
         return self.proposed.seconds
+
+    def remedy(self, limit: float) -> str:
+        """Return what would bring the bound of J nearer to a limit."""
+        if self.vain:
+            return "method rigorous may prove more"
+        enough = next((each for each in self.budgets if each.bound.high <= limit), None)
+        if enough is None:
+            return f"{THOUSAND} further rollouts would bring about {self.thousand:.2g}"
+        keys = f"max_tests = {enough.tests} and replicates = {enough.replicates}"
+        return f"{keys} may be enough, {enough.rollouts:,} rollouts in about {duration(enough.seconds)}"
 
     @property
     def doubling(self) -> float:
@@ -181,7 +187,9 @@ def budget_forecast(
     forecaster = _Forecaster(config, plan, fit, measured)
     without = forecaster.method(FEWEST).bound_after([]).upper or 0.0
     box = measured.box
-    fitted = float(fit.mean(measured.data, (plan.chosen_from.nodes - box.low) / box.widths).max())
+    nodes = (plan.chosen_from.nodes - box.low) / box.widths
+    means = fit.mean(measured.data, nodes)
+    fitted = float(means.max())
     little = max(without - fitted, 0.0) / PARTS
     found = {FEWEST: forecaster.budget(FEWEST)}
     rollouts = FEWEST
@@ -199,6 +207,7 @@ def budget_forecast(
         found[2 * rollouts],
         without,
         fitted,
+        fit.error(measured.data, nodes[means.argmax()]),
         -1 if config.sense_of(plan.problem) == "min" else 1,
     )
 
@@ -228,7 +237,7 @@ class _Forecaster:
         started, plan = time.monotonic(), self._planned(rollouts)
         bounds = self._bounds(self.method(rollouts))
         low, middle, high = np.quantile(bounds, (RANGE[0], 0.5, RANGE[1])).tolist()
-        in_all, seconds = rollout_time(self.config, plan, self.measured.cost, tests=plan.budget)
+        in_all, seconds = rollout_time(self.config, plan, self.measured.pace, tests=plan.budget)
         own = PLANS * (time.monotonic() - started)
         return PlannedBudget(plan.budget, plan.replicates, Guess(middle, low, high), in_all, seconds + own)
 

@@ -240,4 +240,4 @@ def _sample_text(found: Calibration) -> str | None:
         clip = found.clip.value
     if clip is None:  # rollouts that do not depend on the seed: J is minus the robustness itself
         clip = clip_around(-found.problems[0].measured.values)
-    return sample_file(found.draft.table, list(clip), found.problems[0].measured.cost, doubts)
+    return sample_file(found.draft.table, list(clip), found.problems[0].measured.pace.cost, doubts)

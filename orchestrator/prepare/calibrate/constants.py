@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ....schemas.amounts import counted
 from ....schemas.file.config import CampaignConfig
 from ....schemas.file.defaults import derived_lengths
 from ....schemas.file.objectives import MethodName
@@ -34,27 +35,14 @@ SHARE = 0.5
 
 def required_objective(config: CampaignConfig, problem: Problem) -> float | None:
     """Return the largest J that meets what is required; None where the first claim is not that of one objective."""
-    if len(config.problems) != 1 or config.specifications or getattr(problem, "linearised", None) is not None:
+    return None if getattr(problem, "linearised", None) is not None else required_bound(config, problem)
+
+
+def required_bound(config: CampaignConfig, problem: Problem) -> float | None:
+    """Return the largest bound on J that meets what is required; None where the first claim needs other bounds."""
+    if len(config.problems) != 1 or config.specifications:
         return None
     return -config.required_margin if config.sense_of(problem) == "min" else config.required_at_most
-
-
-def forecast_margin_words(config: CampaignConfig, problem: Problem, expected: float, worst: float) -> str:
-    """Return whether a forecast bound on J meets what is required; empty where nothing is.
-
-    `worst` is the largest J of the fitted function, below which no bound may be expected to fall.
-    """
-    limit = required_objective(config, problem)
-    if limit is None:
-        return ""
-    sign, sense = (-1, "at least") if config.sense_of(problem) == "min" else (1, "at most")
-    words = f"the bound would be about {sign * expected:.3g} then, and {sense} {sign * limit:.3g} is required"
-    if expected <= limit:
-        return words
-    if worst > limit:
-        fitted = f"the worst start of the fitted function has {sign * worst:.3g}"
-        return f"{words}, but {fitted}: if that is so, no tolerance and no budget will show it"
-    return f"{words}: a smaller alpha, or where that is out of reach more replicates, would come nearer"
 
 
 Value = float | int | str | list[float] | dict[str, Any]
@@ -91,6 +79,28 @@ class Constant:
 
 
 @dataclass(frozen=True, slots=True)
+class PilotPace:
+    """How fast the first rollouts of a calibration were, its largest batch, by the clock on the wall."""
+
+    rollouts: int
+    seconds: float
+    """With the start of the workers: what a campaign costs besides the simulation is about as much."""
+    workers: int
+    """Side by side."""
+
+    @property
+    def cost(self) -> float:
+        """Seconds that one worker takes for a rollout."""
+        return self.seconds * self.workers / max(1, self.rollouts)
+
+    @property
+    def words(self) -> str:
+        """The pace in words."""
+        rate = float(f"{self.rollouts / max(self.seconds, 1e-3):.2g}")
+        return f"{rate:g} rollouts per second on {counted(self.workers, 'worker')}, over {self.rollouts:,} of them"
+
+
+@dataclass(frozen=True, slots=True)
 class ProblemEvidence:
     """What the rollouts of a calibration show of one problem."""
 
@@ -112,8 +122,7 @@ class ProblemEvidence:
     descents: tuple[Descent, ...]
     clipped: float | None
     """Share of the rollouts whose robustness is at an end of the clip; None where nothing is clipped."""
-    cost: float
-    """Seconds of a rollout."""
+    pace: PilotPace
     rollouts: int
     required: float | None = None
     """The largest J that meets what the campaign file requires; None where that is not about this problem alone."""
@@ -122,6 +131,14 @@ class ProblemEvidence:
     def noisy(self) -> bool:
         """Whether rollouts depend on the seed."""
         return int(self.values.shape[1]) > 1
+
+    @property
+    def largest_seen(self) -> float | None:
+        """The largest J of a rollout, where no rollout depends on the seed; else None."""
+        if self.noisy:
+            return None
+        ends = (end.value for each in self.descents for place in each.places for end in (place.a, place.b))
+        return max(float(self.values.max()), *ends)
 
     @property
     def explained(self) -> float:

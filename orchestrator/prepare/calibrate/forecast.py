@@ -20,13 +20,18 @@ class Forecast(Protocol):
     """The forecast of one problem, if every assumption holds; it is no claim."""
 
     @property
-    def bound(self) -> float:
+    def bound(self) -> Guess:
         """The bound of J at the end of the budget."""
         ...
 
     @property
     def fitted(self) -> float:
-        """The largest J of the fitted function."""
+        """The largest J of the fitted function, which no bound of J may be expected to fall below."""
+        ...
+
+    @property
+    def error(self) -> float:
+        """Standard error of this."""
         ...
 
     @property
@@ -42,6 +47,10 @@ class Forecast(Protocol):
     @property
     def numbers(self) -> dict[str, Any]:
         """The forecast as JSON."""
+        ...
+
+    def remedy(self, limit: float) -> str:
+        """Return what would bring the bound of J nearer to a limit."""
         ...
 
     def settled(self, constants: tuple[Constant, ...]) -> tuple[Constant, ...]:
@@ -102,4 +111,4 @@ def kriging_instead(
     rollouts = guess.budget * config.replicates_of(problem)
     bound = expected_bound(config, plan, trial.fit, measured, rollouts)
     sign = -1 if config.sense_of(problem) == "min" else 1
-    return Instead(found.name, rollouts, guess.bound, bound, sign)
+    return Instead(found.name, rollouts, guess.bound.middle, bound, sign)

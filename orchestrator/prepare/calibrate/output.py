@@ -15,9 +15,11 @@ from ....schemas.errors import PerfboundError
 from ...campaign.consistency import scope
 from ...certificate.words.format import duration
 from ...mathematics.calibration.trust import KernelTrial
+from ..size import WORKERS
+from .answer import answer
 from .budget import RANGE, THOUSAND, BudgetForecast
 from .calibrate import Calibration, CalibrationWish, Report, calibrate_draft
-from .constants import ProblemCalibration, forecast_margin_words
+from .constants import ProblemCalibration
 from .figures import calibration_picture
 from .forecast import Forecast
 from .tolerance import ToleranceForecast
@@ -92,10 +94,7 @@ def closing_lines(found: Calibration, folder: Path) -> Iterator[str]:
         lines = _FORECAST_LINES[type(guess)](guess)
         yield f"{problem.name}: forecast{next(lines)}"
         yield from lines
-        config = found.draft.config
-        of_config = next(each for each in config.problems if each.name == problem.name)
-        if words := forecast_margin_words(config, of_config, guess.bound, guess.fitted):
-            yield f"{problem.name}: {words}"
+        yield f"{problem.name}: times are at the pace of the pilot, {problem.measured.pace.words}"
     if found.trusted:
         yield from scope({each.name: each.measured.plan for each in found.problems}, listed_alone=True)
     yield from _other_methods(found)
@@ -104,11 +103,14 @@ def closing_lines(found: Calibration, folder: Path) -> Iterator[str]:
         yield "No campaign file is written: without a specification there is nothing to sample; give one."
         return
     what = "with these constants" if found.trusted else "by method sample, which needs no kernel"
-    yield f"{found.wish.out}: the campaign {what}. Then: perfbound run {shlex.quote(str(found.wish.out))}"
+    workers = found.problems[0].measured.pace.workers
+    options = [] if workers == WORKERS else ["--workers", str(workers)]  # those whose time the answer has
+    command = ["perfbound", "run", str(found.wish.out), *options]
+    yield f"{found.wish.out}: the campaign {what}. Then: {shlex.join(command)}"
 
 
 def _tolerance_lines(guess: ToleranceForecast) -> Iterator[str]:
-    seconds = f"{guess.rollouts:,} rollouts in about {duration(guess.seconds)} with {guess.workers} workers at most"
+    seconds = f"{guess.rollouts:,} rollouts in about {duration(guess.seconds)}"
     if guess.tests is None:
         yield (
             f": {len(guess.widths):,} tests leave {guess.widths[-1]:.3g} between the bounds, and alpha = {guess.alpha} "
@@ -133,10 +135,7 @@ def _budget_lines(guess: BudgetForecast) -> Iterator[str]:
         )
     if guess.vain:
         yield "  No budget proves more than the constants alone: remove `method` from the draft, for one by rigorous."
-    yield (
-        f"  {THOUSAND} further rollouts would bring about {guess.thousand:.2g}; times are those of {guess.workers} "
-        "workers, closing checks included"
-    )
+    yield f"  {THOUSAND} further rollouts would bring about {guess.thousand:.2g}; times include the closing checks"
 
 
 _FORECAST_LINES: Mapping[type[Forecast], Callable[[Any], Iterator[str]]] = {
@@ -177,6 +176,7 @@ def _json_numbers(found: Calibration) -> dict[str, Any]:
         "digest": found.draft.config.digest,
         "system": found.spec.name,
         "seed": wish.seed,
+        "answer": answer(found),
         "trustworthy": found.trusted,
         "clip": None if found.clip is None else found.clip.value,
         "problems": [_problem_numbers(each) for each in found.problems],
@@ -195,7 +195,8 @@ def _problem_numbers(found: ProblemCalibration) -> dict[str, Any]:
     return {
         "name": found.name,
         "rollouts": measured.rollouts,
-        "seconds_per_rollout": measured.cost,
+        "seconds_per_rollout": measured.pace.cost,
+        "workers": measured.pace.workers,
         "constants": [
             {"key": each.key, "value": each.value, "reason": each.reason, "margin": each.margin}
             for each in found.constants

@@ -22,6 +22,7 @@ from ...mathematics.gp.kernels import Floats
 from ..rounded import clip_around
 from .constants import (
     Constant,
+    PilotPace,
     ProblemCalibration,
     ProblemEvidence,
     calibrated,
@@ -45,8 +46,8 @@ class Simulated(Protocol):
         ...
 
     @property
-    def cost(self) -> float:
-        """Seconds of a rollout."""
+    def pace(self) -> PilotPace:
+        """How fast the first of them were."""
         ...
 
     def simulate(self, wanted: Sequence[StartRollout]) -> RolloutBatch:
@@ -133,7 +134,7 @@ class CalibrationPilot:
             again=repeated,
             descents=descents,
             clipped=clipped,
-            cost=self._simulated.cost,
+            pace=self._simulated.pace,
             rollouts=self._simulated.count,
             required=required_objective(self._config, self._problem),
         )

@@ -2,6 +2,7 @@
 
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import contextmanager
@@ -27,6 +28,7 @@ from ...campaign.region import Start
 from ...mathematics.gp.kernels import Floats
 from ..child_rollouts import ChildRolloutError, ChildSystem, finished, simulate_in_child
 from ..seen_margins import SeenMargins
+from .constants import PilotPace
 from .design import NAME, calibration_seed
 
 Report = Callable[[int], None]
@@ -70,8 +72,9 @@ class CalibrationRollouts:
         self.report: Report = lambda _: None
         self.count = 0
         """Rollouts so far."""
-        self.cost = 0.0
-        """Seconds of a rollout in one process, as the first batch took."""
+        self.clock = time.monotonic
+        self.pace = PilotPace(0, 0.0, 1)
+        """That of the first batch."""
 
     def simulate(self, wanted: Sequence[StartRollout]) -> RolloutBatch:
         """Simulate rollouts side by side, those of one start in one process.
@@ -91,8 +94,11 @@ class CalibrationRollouts:
             ]
             parts.append((folder, tuple(requests)))
         batch = RolloutBatch(self._batches, tuple(parts))
+        started, number = self.clock(), len(wanted) * len(self._variants)
         self._run(batch)
-        self.count += len(wanted) * len(self._variants)
+        if self._batches == 1:  # later ones are so small that they last as long as workers take to start
+            self.pace = PilotPace(number, self.clock() - started, processes)
+        self.count += number
         self.report(self.count)
         return batch
 
@@ -182,9 +188,9 @@ class CalibrationRollouts:
         columns = tuple(column.name for column in self._system.spec.columns)
         for folder, requests in batch.parts:
             found: dict[str, Trajectory] = {}
-            written: list[float] = []
-            for request, trajectory, at in finished(self._system, requests, folder):
-                written.append(at)
+            made = 0
+            for request, trajectory, _ in finished(self._system, requests, folder):
+                made += 1
                 found[request.variant] = trajectory
                 try:
                     check_whole(trajectory, columns, self._horizon)
@@ -195,10 +201,8 @@ class CalibrationRollouts:
                 except (TrajectoryError, ValueError) as fault:
                     words = request.words(self._system.spec)
                     raise ChildRolloutError(f"{words}: a campaign would refuse this rollout: {fault}") from None
-            if len(written) < len(requests):
-                raise ChildRolloutError(f"{requests[len(written)].words(self._system.spec)}: the rollout was not made")
-            # The first rollout loads the simulator.
-            self.cost = self.cost or (float(np.median(np.diff(written))) if len(written) > 1 else 0.0)
+            if made < len(requests):
+                raise ChildRolloutError(f"{requests[made].words(self._system.spec)}: the rollout was not made")
 
 
 class _EndedError(Exception):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ....schemas.file.config import CampaignConfig
-from ....schemas.values import Bound, Observation
+from ....schemas.values import Bound, Guess, Observation
 from ...campaign.methods import kernel_method
 from ...campaign.plan import ProblemPlan
 from ...forecast.remaining import tests_left
@@ -18,7 +18,7 @@ from ...mathematics.calibration.kernel_fit import KernelFit
 from ...mathematics.gp.kernels import Floats
 from ..rounded import rounded_up
 from ..size import growing_time
-from .budget import WORKERS, rollout_time
+from .budget import rollout_time
 from .constants import Constant, ProblemEvidence
 
 MOST_WORK = 300_000
@@ -42,15 +42,20 @@ class ToleranceForecast:
     budget: int
     """Tests at most that are proposed."""
     seconds: float
-    """Of the rollouts of this budget, with its closing checks, for `workers`, and of its own tests."""
+    """Of the rollouts of this budget, with its closing checks, at the pace of the pilot, and of its own tests."""
     rollouts: int
     alpha: float
     """The tolerance: that of the plan, or if it may be raised, one that is within reach."""
-    bound: float
-    """Of J, at the end of the budget."""
+    bound: Guess
+    """Of J, at the end of the budget; without a range."""
     fitted: float
     """The largest J of the fitted function."""
-    workers: int = WORKERS
+    error: float
+    """Standard error of this."""
+
+    def remedy(self, limit: float) -> str:  # noqa: ARG002  (one tolerance is forecast)
+        """Return what would bring the bound of J nearer to a limit."""
+        return "a smaller alpha, or where that is out of reach more replicates, would come nearer"
 
     def settled(self, constants: tuple[Constant, ...]) -> tuple[Constant, ...]:
         """Return the constants of the problem with the budget, and with the alpha that it reaches."""
@@ -90,20 +95,22 @@ def tolerance_forecast(
     data, box, started = measured.data, measured.box, time.monotonic()
     method = kernel_method(plan)
     assert isinstance(method, RigorousMethod), "the table of forecasts has others for other methods"
-    truth = fit.mean(data, (plan.chosen_from.nodes - box.low) / box.widths)
+    nodes = (plan.chosen_from.nodes - box.low) / box.widths
+    truth = fit.mean(data, nodes)
     widths, upper = _tried(method, plan, truth)
     tests, alpha = _tests(config, plan, widths), plan.problem.alpha or 0.0
     if tests is None and "alpha" not in given:
         tests, alpha = len(widths), rounded_up(widths[-1] / NEAR)
     budget = LARGEST_BUDGET if tests is None else min(math.ceil(MARGIN * tests), LARGEST_BUDGET)
     budget = int(float(f"{max(budget, 20):.2g}"))
-    rollouts, seconds = rollout_time(config, plan, measured.cost, tests=budget)
+    rollouts, seconds = rollout_time(config, plan, measured.pace, tests=budget)
     # Its own tests took as long as those of the campaign will.
     own = growing_time(time.monotonic() - started, len(widths), max(budget, len(widths))).middle
     # What is beyond the maximum falls as the distance of the bounds does.
-    largest = float(truth.max())
+    largest, error = float(truth.max()), fit.error(data, nodes[truth.argmax()])
     bound = largest + max(upper - largest, 0.0) * min(1.0, alpha / widths[-1]) if tests is not None else upper
-    return ToleranceForecast(tests, tuple(widths), budget, seconds + own, rollouts, alpha, bound, largest)
+    guess = Guess(bound, bound, bound)
+    return ToleranceForecast(tests, tuple(widths), budget, seconds + own, rollouts, alpha, guess, largest, error)
 
 
 def _tried(method: RigorousMethod, plan: ProblemPlan, truth: Floats) -> tuple[list[float], float]:

@@ -4,11 +4,13 @@ import math
 import os
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
+from ....schemas.batch import BatchRequest
 from ....schemas.errors import PerfboundError, Stopped, TrajectoryError
 from ....schemas.file.config import CampaignConfig
 from ....schemas.ids import RECHECK, SPOT_CHECK, RolloutId
@@ -25,6 +27,7 @@ from ...campaign.plan import Plans, ProblemPlan, plans
 from ...campaign.region import Start
 from ...campaign.seeds import drawn
 from ...campaign.starts import Draws
+from ...certificate.verify.stages import Report
 from ...certificate.words.format import duration
 from ...forecast.evidence import evidence_bytes
 from ...mathematics.bounds.cost import MethodSize
@@ -52,13 +55,12 @@ REHEARSAL = 15.0
 """Seconds of processor time that a problem is rehearsed at most; other work on the machine does not count."""
 WORTH = 4
 """Times of its present batch from which on another one is worth a line."""
+PILOT = "pilot rollouts"
+"""The stage of the progress in which the pilot is simulated."""
 LONG = 36_000.0
 """Seconds of mathematics that are worth a line."""
 NAME = "plan"
 """The place of a problem's name, which no problem has: seeds and starts of a pilot are not those of its campaign."""
-
-Report = Callable[[str], None]
-"""Progress callback: what is being done."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +79,7 @@ class _Pilot:
         return replace(self.figures, size=self.batch_size or self.figures.size)
 
 
-def plan_campaign(config: CampaignConfig, source: Path, workers: int, report: Report = lambda _: None) -> FleetPlan:
+def plan_campaign(config: CampaignConfig, source: Path, workers: int, report: Report = lambda *_: None) -> FleetPlan:
     """Return what the campaign of a file needs from `workers` workers; nothing is kept of its pilot.
 
     Raises:
@@ -87,13 +89,14 @@ def plan_campaign(config: CampaignConfig, source: Path, workers: int, report: Re
 
     """
     reference = config.system.reference(source)
+    report("system", 0, 1)
     spec = simulated_spec(reference, f"{source}: {config.system.place}")
+    report("system", 1, 1)
     check_new(config, spec, str(source))
     header = Header.new(config, spec, {}, run=NAME)
     found = plans(config, header.spec)
     try:
-        report(f"pilot of {ROLLOUTS} rollouts")
-        pilot = _pilot(header, found, ChildSystem(reference, header.spec, config.deadline, SECONDS))
+        pilot = _pilot(header, found, ChildSystem(reference, header.spec, config.deadline, SECONDS), report)
         nearest = PilotRollouts(pilot.starts, pilot.recorded)
         problems = [_problem_size(header, plan, _rehearsal(plan, header, nearest, report)) for plan in found.values()]
     except ChildRolloutError as error:
@@ -147,11 +150,16 @@ def _rehearsal(plan: ProblemPlan, header: Header, pilot: PilotRollouts, report: 
     # Its first test waits for the weights.
     if any(size.method == "kriging" and size.seconds > REHEARSAL for size in _sizes(header, plan)):
         return None
-    report(f"rehearsal of {plan.name}")
+    shown = partial(report, f"rehearsal of {plan.name}")
+    shown(0, 1)  # a method may think long before its first test
     try:
-        return rehearsed(plan, header, pilot, time=time.process_time, most=REHEARSAL)
+        return rehearsed(
+            plan, header, pilot, time=time.process_time, most=REHEARSAL, done=lambda share: shown(int(100 * share), 100)
+        )
     except (ValueError, ArithmeticError):
         return None
+    finally:
+        shown(100, 100)
 
 
 def _problem_size(header: Header, plan: ProblemPlan, rehearsal: Rehearsal | None) -> ProblemSize:
@@ -208,7 +216,7 @@ def _check_sizes(header: Header, found: Plans, problems: Sequence[ProblemSize]) 
         yield ProblemSize(RECHECK, Guess(high, low, high), 1, high, "fixed by the campaign file")
 
 
-def _pilot(header: Header, found: Plans, system: ChildSystem) -> _Pilot:
+def _pilot(header: Header, found: Plans, system: ChildSystem, report: Report) -> _Pilot:
     """Simulate the pilot.
 
     Raises:
@@ -225,7 +233,9 @@ def _pilot(header: Header, found: Plans, system: ChildSystem) -> _Pilot:
                 requests.append(header.template.request(place, start, seed))
     with tempfile.TemporaryDirectory(prefix="perfbound-plan-") as name:
         folder, begin = Path(name), time.time()
-        simulate_in_child(system, [*requests, *trial_batches(header.template, requests)], folder)
+        wanted: list[RolloutRequest | BatchRequest] = [*requests, *trial_batches(header.template, requests)]
+        report(PILOT, 0, len(wanted))
+        simulate_in_child(system, wanted, folder, lambda done: report(PILOT, done, len(wanted)))
         pilot = _pilot_of(header, starts, list(finished(system, requests, folder)), folder, begin)
         return _with_batches(pilot, folder, len(requests))
 

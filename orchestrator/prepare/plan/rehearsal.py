@@ -116,8 +116,9 @@ def rehearsed(
     *,
     time: Callable[[], float],
     most: float,
+    done: Callable[[float], None] = lambda _: None,
 ) -> Rehearsal:
-    """Rehearse a problem for at most `most` seconds of the clock `time`.
+    """Rehearse a problem for at most `most` seconds of the clock `time`; `done` is called with the share that is over.
 
     Raises:
         ValueError: a trajectory allows no observation, or a parameter is outside the range of the method.
@@ -128,8 +129,8 @@ def rehearsed(
     plan = replace(plan, controlled=False, reports=None, parts=parts)
     observe, course = _surface(plan, header, pilot), list[tuple[int, float, float | None]]()
     rehearsing = method(plan, header)
-    begin, tests, verdict, observing = time(), 0, None, 0.0
-    while tests < plan.budget and verdict is None and (not tests or time() - begin < most):
+    begin, tests, verdict, observing, passed = time(), 0, None, 0.0, 0.0
+    while tests < plan.budget and verdict is None and (not tests or passed < most):
         first = first_node(header, plan.name, rehearsing.size) if tests == 0 and plan.candidates is not None else None
         chosen = rehearsing.propose(first)
         since = time()
@@ -139,7 +140,9 @@ def rehearsed(
         tests, verdict = tests + 1, bound.verdict
         if tests in MARKED and bound.upper is not None:
             course.append((tests, bound.upper, distance_after(bound, chosen.F)))
-    return Rehearsal(tests, verdict, tuple(course), time() - begin - observing)
+        passed = time() - begin
+        done(min(1.0, max(tests / plan.budget, passed / most)))
+    return Rehearsal(tests, verdict, tuple(course), passed - observing)
 
 
 def _surface(plan: ProblemPlan, header: Header, pilot: PilotRollouts) -> Callable[[Start], Observation]:

@@ -26,7 +26,7 @@ from perfbound.orchestrator.mathematics.bounds.rigorous.method import ExhaustedE
 from perfbound.orchestrator.mathematics.calibration.norm_growth import needed_norm  # noqa: E402
 from perfbound.orchestrator.mathematics.calibration.sampled import SampledValues  # noqa: E402
 from perfbound.orchestrator.prepare.calibrate.calibrate import Calibration, CalibrationWish, with_file  # noqa: E402
-from perfbound.orchestrator.prepare.calibrate.constants import ProblemCalibration  # noqa: E402
+from perfbound.orchestrator.prepare.calibrate.constants import PilotPace, ProblemCalibration  # noqa: E402
 from perfbound.orchestrator.prepare.calibrate.pilot import CalibrationPilot  # noqa: E402
 from perfbound.orchestrator.prepare.calibrate.rollouts import RolloutBatch, StartRollout  # noqa: E402
 from perfbound.schemas.file.config import CampaignConfig  # noqa: E402
@@ -77,7 +77,7 @@ class FunctionRollouts:
     def __init__(self, rng: np.random.Generator, function: Function, observed: Observed) -> None:
         self._rng, self._function, self._observed = rng, function, observed
         self._batches: list[dict[tuple[int, int], float]] = []
-        self.count, self.cost = 0, 0.001
+        self.count, self.pace = 0, PilotPace(1000, 1.0, 1)
 
     def simulate(self, wanted: Sequence[StartRollout]) -> RolloutBatch:
         """Draw the robustness of every rollout."""

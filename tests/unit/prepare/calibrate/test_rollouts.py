@@ -1,11 +1,15 @@
 """The division of a calibration's rollouts among child processes, and the choice between two methods."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from perfbound.orchestrator.campaign import plan as plans
+from perfbound.orchestrator.prepare.calibrate.budget import rollout_time
 from perfbound.orchestrator.prepare.calibrate.calibrate import check_effort
+from perfbound.orchestrator.prepare.calibrate.constants import PilotPace
 from perfbound.orchestrator.prepare.calibrate.forecast import Instead
 from perfbound.orchestrator.prepare.calibrate.rollouts import (
     FEWEST_OF_A_CHILD,
@@ -38,12 +42,35 @@ def test_a_batch_is_divided_among_as_many_children_as_pay(tmp_path: Path, number
     rollouts = Recorded(ChildSystem(system.name, system, 60.0, 60.0), campaign, 0, tmp_path, seed=1, workers=3)
     counted: list[int] = []
     rollouts.report = counted.append
+    rollouts.clock = iter(range(0, 100, 5)).__next__
     batch = rollouts.simulate([StartRollout(test, (0.0, 0.0), 0) for test in range(number)])
     assert len(batch.parts) == processes
     assert sorted(request.test for _, requests in batch.parts for request in requests) == list(range(number))
     assert len({request.seed for _, requests in batch.parts for request in requests}) == number
     assert all(folder.is_dir() for folder, _ in batch.parts)
     assert counted == [number]
+    assert rollouts.pace == PilotPace(number, 5.0, processes)
+    rollouts.simulate([StartRollout(test, (1.0, 1.0), 0) for test in range(number + 1)])
+    assert rollouts.pace == PilotPace(number, 5.0, processes), "later batches are mostly the start of workers"
+
+
+@pytest.mark.parametrize(
+    ("window", "replicates", "workers", "seconds"),
+    [(1, 4, 2, 20 * 2 + 150), (1, 1, 2, 20 + 150), (5, 1, 2, 4 * 3 + 150), (100, 3, 2, 30 + 150), (1, 4, 4, 20 + 75)],
+)
+def test_the_time_of_a_campaign_is_that_of_its_turns_at_the_pace_of_the_pilot(
+    window: int, replicates: int, workers: int, seconds: int
+) -> None:
+    """Each worker takes 3 s for a rollout, whatever a rollout of another system took."""
+    campaign = config("test-function-rigorous").model_copy(update={"spot_check": 280, "recheck": 20})
+    planned = plans.plan(campaign, load_system("test-function").spec, campaign.problems[0])
+    planned = replace(planned, window=window, replicates=replicates)
+    pace = PilotPace(rollouts=100 * workers, seconds=300.0, workers=workers)
+    assert pace.cost == 3.0
+    assert says(pace.words, f"{workers / 3.0:.2g} per second {workers} workers {100 * workers}")
+    rollouts, found = rollout_time(campaign, planned, pace, tests=20)
+    assert rollouts == 20 * replicates + 300
+    assert found == pytest.approx(3.0 * seconds)
 
 
 @pytest.mark.parametrize(("high", "tighter"), [(0.4, True), (0.5, False), (0.6, False)])

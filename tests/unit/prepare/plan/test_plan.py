@@ -1,17 +1,20 @@
-"""What `perfbound plan` refuses before its pilot."""
+"""What `perfbound plan` refuses before its pilot, and shows while it works."""
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
 
 from perfbound.orchestrator.campaign.checks import method_sizes
 from perfbound.orchestrator.campaign.plan import plans
+from perfbound.orchestrator.prepare.child_rollouts import ChildRolloutError
 from perfbound.orchestrator.prepare.plan import plan
 from perfbound.orchestrator.prepare.plan.fleet_need import NOTHING
 from perfbound.orchestrator.prepare.plan.rehearsal import PilotRollouts
-from perfbound.schemas.errors import CampaignError
+from perfbound.schemas.errors import CampaignError, PerfboundError
 from perfbound.schemas.result.facts import Header
 from perfbound.workers.systems.test_function import TestFunctionSystem
+from tests.campaigns import config
 from tests.facts import says
 from tests.fakes.finished import a_pair
 from tests.unit.prepare.plan import test_sizes
@@ -25,6 +28,19 @@ def test_a_plan_refuses_before_its_pilot_what_a_run_refuses(monkeypatch: pytest.
     hiding = a_pair("rigorous").model_copy(update={"clip": (0.0, 1.0)})
     with pytest.raises(CampaignError, match=r"c\.toml: clip: its lower end 0 hides violations"):
         plan.plan_campaign(hiding, Path("c.toml"), 1)
+
+
+def test_a_plan_shows_system_and_pilot_rollouts_as_they_are_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    def simulated(_system: object, wanted: Sequence[object], _folder: Path, done: Callable[[int], None]) -> None:
+        done(3)
+        raise ChildRolloutError(f"{len(wanted)} rollouts")
+
+    monkeypatch.setattr(plan, "simulated_spec", lambda *_: TestFunctionSystem().spec)
+    monkeypatch.setattr(plan, "simulate_in_child", simulated)
+    shown: list[tuple[str, int, int]] = []
+    with pytest.raises(PerfboundError, match=r"c\.toml: 10 rollouts"):
+        plan.plan_campaign(config("test-function-rigorous"), Path("c.toml"), 1, lambda *each: shown.append(each))
+    assert shown == [("system", 0, 1), ("system", 1, 1), (plan.PILOT, 0, 10), (plan.PILOT, 3, 10)]
 
 
 def test_mathematics_of_many_hours_are_said_before_the_campaign() -> None:
@@ -50,8 +66,8 @@ def test_weights_that_take_longer_than_a_rehearsal_are_not_rehearsed() -> None:
     config = test_sizes.parsed(test_sizes.table("kriging", 3, problem={"points": 6}))
     header = Header.new(config, test_sizes.spec(3), {})
     (whole,) = plans(config, header.spec).values()
-    reported: list[str] = []
+    reported: list[tuple[str, int, int]] = []
     pilot = PilotRollouts([(0.0, 0.0, 0.0)], [{}])
-    assert plan._rehearsal(whole, header, pilot, reported.append) is None
+    assert plan._rehearsal(whole, header, pilot, lambda *each: reported.append(each)) is None
     assert reported == []
     assert plan._problem_size(header, whole, None).thinking.middle > plan.REHEARSAL

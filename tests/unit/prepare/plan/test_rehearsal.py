@@ -52,6 +52,15 @@ def test_a_method_ends_where_alpha_is_reached() -> None:
     assert str(found.tests) in basis
 
 
+def test_the_share_of_a_rehearsal_is_that_of_its_tests_or_of_its_time() -> None:
+    planned, header = problem("test-function-rigorous", max_tests=20)
+    for most, shares in ((1000.0, [k / 20 for k in range(1, 21)]), (10.0, [min(1.0, 0.3 * k) for k in range(1, 5)])):
+        told, ticks = list[float](), itertools.count()
+        found = rehearsed(planned, header, pilot(), time=lambda: float(next(ticks)), most=most, done=told.append)  # noqa: B023
+        assert told == pytest.approx(shares)
+        assert len(told) == found.tests
+
+
 def test_the_same_pilot_gives_the_same_tests() -> None:
     planned, header = problem("test-function-rigorous", max_tests=20)
     first, second = (rehearsed(planned, header, pilot(), time=lambda: 0.0, most=1.0) for _ in range(2))
