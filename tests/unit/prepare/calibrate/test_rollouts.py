@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from perfbound.orchestrator.fleet.children.rollouts import ChildSystem
 from perfbound.orchestrator.prepare.calibrate.calibrate import check_effort
 from perfbound.orchestrator.prepare.calibrate.forecast import Instead
 from perfbound.orchestrator.prepare.calibrate.rollouts import (
@@ -13,7 +14,6 @@ from perfbound.orchestrator.prepare.calibrate.rollouts import (
     RolloutBatch,
     StartRollout,
 )
-from perfbound.orchestrator.prepare.child_rollouts import ChildSystem
 from perfbound.schemas.errors import PerfboundError
 from perfbound.schemas.values import Guess
 from perfbound.workers.systems import load_system
