@@ -359,12 +359,13 @@ def measure(answers: int, begin: int, folder: str | None, keep: str | None) -> N
     from pydantic import TypeAdapter  # noqa: PLC0415
 
     from ..schemas.system_check import Trial  # noqa: PLC0415
-    from .check_system import measure_trials  # noqa: PLC0415
+    from .check_system import mark_files, measure_trials  # noqa: PLC0415
     from .opened import Opened  # noqa: PLC0415
 
     _be_child()
     die_with_parent()
     adopt_orphans()
+    mark_files()
     os.set_inheritable(answers, False)
     os.set_inheritable(begin, False)
     trials = TypeAdapter(tuple[Trial, ...]).validate_json(sys.stdin.buffer.read())
