@@ -87,8 +87,9 @@ class Measured(Model):
     packages: tuple[str, ...] = Field(
         default=(), description="distributions that were imported and are no part of the system; after the last rollout"
     )
-    files: tuple[str, ...] = Field(default=(), description="new entries of the working and of the temporary directory")
-    made: tuple[str, ...] = Field(default=(), description="those of them that the process of the rollout made")
+    files: tuple[str, ...] = Field(
+        default=(), description="entries of the working and of the temporary directory that the rollout has made"
+    )
 
 
 class ChildRun(Model):

@@ -36,6 +36,9 @@ from .systems.place import PREFIX as SCRATCH
 
 STDOUT = 1
 LIBC = ctypes.CDLL(None)
+TEMPORARY = "$TMPDIR"
+MARK = stat.S_IRGRP | stat.S_IWGRP
+"""Rights that new files of a rollout do not give to the group. No other program has files that only others may read."""
 ENDED = ("Z", "X")
 """States of a process that nobody has waited for."""
 MOST, REASON = 50, 500
@@ -72,12 +75,11 @@ def measure_trials(
         found = _measured(trial, None if keep is None else Path(keep, str(number)))
         after = _Surroundings.now(folder)
         requested = load_system(trial.request.system)
-        files = sorted(after.files - surroundings.files)[:MOST]
+        files = own_entries(folder, sorted(after.files - surroundings.files), opened)[:MOST]
         changes = {
             "printed": after.printed - before.printed,
             "reseeded": tuple(name for name in STATES if after.random[name] != before.random[name]),
-            "files": tuple(files),
-            "made": opened.made(folder, files),
+            "files": files,
             "threads": tuple(each.name for each in threading.enumerate() if each not in started)[:MOST],
             "processes": _processes(),
             "tasks": _tasks(),
@@ -103,6 +105,27 @@ class _Surroundings:
     def now(cls, folder: str, files: frozenset[str] | None = None) -> "_Surroundings":
         states = {name: hashlib.sha256(pickle.dumps(state())).hexdigest() for name, state in STATES.items()}
         return cls(_printed(), states, _entries(folder) if files is None else files)
+
+
+def mark_files() -> None:
+    """Have the kernel mark the files of this process and of all that it starts, see `MARK`."""
+    os.umask(os.umask(MARK) | MARK)
+
+
+def own_entries(folder: str, names: Sequence[str], opened: Opened) -> tuple[str, ...]:
+    """Return which new entries this process has made, or one that it has started; another program may make some, too.
+
+    The temporary directory is that of the check alone. Python reports what it makes itself. What a library in C or
+    another program makes has the mark, unless the user lets nobody read new files: these are not found then.
+    """
+    made = opened.made(folder, names)
+    return tuple(name for name in names if name.startswith(TEMPORARY) or name in made or _is_marked(Path(folder, name)))
+
+
+def _is_marked(path: Path) -> bool:
+    with suppress(OSError):
+        return path.lstat().st_mode & (MARK | stat.S_IROTH) == stat.S_IROTH
+    return False
 
 
 def _measured(trial: Trial, kept: Path | None) -> Measured:
@@ -182,7 +205,7 @@ def _entries(folder: str) -> frozenset[str]:
     """Return the entries of the working and of the temporary directory, without hidden ones and caches of Python."""
     here = {each for each in os.listdir(folder) if not each.startswith((".", "__pycache__"))}
     temporary = {each for each in os.listdir(tempfile.gettempdir()) if not each.startswith(SCRATCH)}
-    return frozenset(here | {f"$TMPDIR/{each}" for each in temporary})
+    return frozenset(here | {f"{TEMPORARY}/{each}" for each in temporary})
 
 
 def _memory() -> int:

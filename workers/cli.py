@@ -240,6 +240,7 @@ def spec(reference: str) -> None:
 
 def _be_child() -> None:
     """Write no memory to the disk: a crash is reported by the parent."""
+    os.environ.pop(VARIABLE, None)  # the system under test has no use for the secret
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
@@ -358,12 +359,13 @@ def measure(answers: int, begin: int, folder: str | None, keep: str | None) -> N
     from pydantic import TypeAdapter  # noqa: PLC0415
 
     from ..schemas.system_check import Trial  # noqa: PLC0415
-    from .check_system import measure_trials  # noqa: PLC0415
+    from .check_system import mark_files, measure_trials  # noqa: PLC0415
     from .opened import Opened  # noqa: PLC0415
 
     _be_child()
     die_with_parent()
     adopt_orphans()
+    mark_files()
     os.set_inheritable(answers, False)
     os.set_inheritable(begin, False)
     trials = TypeAdapter(tuple[Trial, ...]).validate_json(sys.stdin.buffer.read())

@@ -12,13 +12,14 @@ from ...schemas.result.block_facts import BlockObservationFact, Floats, Integers
 from ...schemas.result.facts import Header, ObservationFact
 from ...schemas.values import Bound, Proposal
 from ..mathematics.bounds.sample import SampleMethod
+from ..mathematics.gp.points import point_at
 from ..mathematics.search import Falsifier
 from .methods import ProblemMethod
 from .plan import ProblemPlan
 from .region import Start, condition
 from .seeds import first_node, uniform
 from .series import Series
-from .starts import Draws, Listed, of_space
+from .starts import Draws, Listed, drawn_starts, of_space
 
 
 class ProposalSource(Protocol):
@@ -50,6 +51,17 @@ def proposal_source(plan: ProblemPlan, method: ProblemMethod, header: Header) ->
     if plan.falsify is None:
         return MethodSource(plan, method, header)
     return SearchSource(plan, plan.falsify, method, header)
+
+
+def first_start(plan: ProblemPlan, header: Header) -> Start:
+    """Return the start of the first test of a problem, from the seed alone.
+
+    Where a design, the order of a list or a search decides the first test, it is another start of the same space: a
+    plan of weights may take hours.
+    """
+    if plan.candidates is None:
+        return drawn_starts(header, plan.name)(0)
+    return point_at(plan.candidates, first_node(header, plan.name, plan.candidates.size))
 
 
 class MethodSource:

@@ -33,6 +33,7 @@ from ..store.rows import existing
 from .collision import COLLISION, PoisonedError, is_collision
 from .directory import check_vacant, claimed
 from .display.systemd import Systemd, with_a_loop
+from .first_rollouts import check_first_rollouts, is_somebodys_own
 from .options import RunOptions, check_own, check_platform, check_workers, reopened
 from .page.live_page import LivePage, live_page
 from .trust import doubted
@@ -73,12 +74,14 @@ def start_campaign(
     with (
         live_page(link.web, directory, console, insecure=link.insecure) as page,
         _transport(options, console) as transport,
-        created(directory, header, options.origin(reference)) as journal,
     ):
-        page.announce()
-        found = replace(options, system=reference)
-        _conduct(directory, journal, transport, page, options=found, console=console, resumed=False)
-        page.end()
+        if options.workers and options.own is None and is_somebodys_own(reference):
+            check_first_rollouts(header, reference, where, lambda line: console.print(Text(line), soft_wrap=True))
+        with created(directory, header, options.origin(reference)) as journal:
+            page.announce()
+            found = replace(options, system=reference)
+            _conduct(directory, journal, transport, page, options=found, console=console, resumed=False)
+            page.end()
 
 
 def resume_campaign(directory: Path, options: RunOptions, console: Console, max_tests: int | None = None) -> bool:

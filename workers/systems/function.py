@@ -161,18 +161,28 @@ def _by_name(returned: object, names: tuple[str, ...]) -> dict[str, Floats]:
         return {name: _samples_of(value, name, 1) for name, value in zip(names, returned, strict=True)}
     array = _samples_of(returned, "the returned value", 2, width=len(names))
     if array.shape[1] != len(names):
-        turned = "; return its transpose" if array.shape[0] == len(names) else ""
-        raise SimulationError(
-            f"the function returned an array {array.shape}, its columns are {listed_names(names)}{turned}"
-        )
+        remedy = "return its transpose" if array.shape[0] == len(names) else f"return (samples, {len(names)})"
+        words = array_words(returned) or array_words(array)
+        raise SimulationError(f"the function returned {words}, its columns are {listed_names(names)}; {remedy}")
     return {name: array[:, k] for k, name in enumerate(names)}
 
 
-def _samples_of(value: object, name: str, dimensions: int, *, width: int = 1) -> Floats:
+def real_values(value: object, name: str) -> Floats:
+    """Return what a function returned as `name` as real numbers; raises SimulationError with shape and dtype."""
     try:
-        array = real_array(value)
+        return real_array(value)
     except ValueError as error:
-        raise SimulationError(f"{name} {error}") from None
+        words = array_words(value)
+        raise SimulationError(f"{name}{f', {words},' if words else ''} {error}") from None
+
+
+def array_words(value: object) -> str:
+    """Return shape and dtype of an array in words; empty for everything else."""
+    return f"an array {value.shape} of {value.dtype}" if isinstance(value, np.ndarray) else ""
+
+
+def _samples_of(value: object, name: str, dimensions: int, *, width: int = 1) -> Floats:
+    array = real_values(value, name)
     if array.ndim == 0:
         array = array.reshape((1,) * dimensions)
     elif array.ndim == 1 and dimensions == 2:

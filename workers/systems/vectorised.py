@@ -13,11 +13,10 @@ from typing import Any
 import numpy as np
 
 from ...schemas.errors import SimulationError
-from ...schemas.real_numbers import real_array
 from ...schemas.system import OptionValue, Variant
 from ...schemas.trajectory.trajectory import Trajectory
 from .base import Floats, Progress, Seeds, checked_disturbances, checked_options, checked_starts
-from .function import FunctionSystem, listed_names
+from .function import FunctionSystem, array_words, listed_names, real_values
 
 
 class VectorisedSystem(FunctionSystem):
@@ -119,7 +118,7 @@ def _by_name(returned: object, names: tuple[str, ...], rollouts: int) -> dict[st
                 f"the function returned {listed_names(returned)}, its columns are {listed_names(names)}"
             )
         return {
-            name: _array(value, name) if name == "t" else _of_rollouts(_array(value, name), name, rollouts)
+            name: real_values(value, name) if name == "t" else _of_rollouts(real_values(value, name), name, rollouts)
             for name, value in returned.items()
         }
     if isinstance(returned, tuple | list):
@@ -128,24 +127,18 @@ def _by_name(returned: object, names: tuple[str, ...], rollouts: int) -> dict[st
                 f"the function returned {len(returned)} values, its columns are {listed_names(names)}"
             )
         return {
-            name: _of_rollouts(_array(value, name), name, rollouts) for name, value in zip(names, returned, strict=True)
+            name: _of_rollouts(real_values(value, name), name, rollouts)
+            for name, value in zip(names, returned, strict=True)
         }
-    array = _array(returned, "the returned value")
+    array = real_values(returned, "the returned value")
     if array.ndim < 3 and len(names) == 1:
         return {names[0]: _of_rollouts(array, "the returned value", rollouts)}
     if array.ndim != 3 or array.shape[::2] != (rollouts, len(names)):
         raise SimulationError(
-            f"the function returned an array {array.shape}; return ({rollouts}, samples, {len(names)}) for the columns "
-            f"{listed_names(names)}"
+            f"the function returned {array_words(returned) or array_words(array)}; return ({rollouts}, samples, "
+            f"{len(names)}) for the columns {listed_names(names)}"
         )
     return {name: array[:, :, k] for k, name in enumerate(names)}
-
-
-def _array(value: object, name: str) -> Floats:
-    try:
-        return real_array(value)
-    except ValueError as error:
-        raise SimulationError(f"{name} {error}") from None
 
 
 def _of_rollouts(array: Floats, name: str, rollouts: int) -> Floats:

@@ -81,13 +81,15 @@ def ask(
     command: str,
     *arguments: str,
     limit: float = CHILD_TIMEOUT,
+    loading: float | None = None,
     steps: Callable[[], int] = lambda: 0,
     on_line: Callable[[str], None] | None = None,
 ) -> str:
     """Return the answer of a command of a `workers` child; `on_line` gets what the system printed, line by line.
 
     After `limit` seconds, and when this process is stopped, the child and everything that it started is ended. A child
-    that does several things may take `limit` seconds for each; `steps` counts those that are done.
+    that does several things may take `limit` seconds for each, for the first one `loading`; `steps` counts those that
+    are done.
 
     Raises:
         HangError: it gives no answer in time.
@@ -111,7 +113,7 @@ def ask(
     ):
         try:
             release()
-            errors = _printed(child, limit, steps)
+            errors = _printed(child, limit if loading is None else loading, limit, steps)
             answer.seek(0)
             output = answer.read().decode()
         except subprocess.TimeoutExpired:
@@ -144,16 +146,19 @@ def _above_stderr() -> IO[bytes]:
         return os.fdopen(fcntl.fcntl(found.fileno(), fcntl.F_DUPFD_CLOEXEC, 3), "r+b")
 
 
-def _printed(child: "subprocess.Popen[str]", limit: float, steps: Callable[[], int]) -> str:
-    """Return what a child that ends has printed; raise TimeoutExpired after `limit` seconds without a step."""
-    done, since = steps(), time.monotonic()
+def _printed(child: "subprocess.Popen[str]", first: float, limit: float, steps: Callable[[], int]) -> str:
+    """Return what a child that ends has printed.
+
+    Raise TimeoutExpired after `limit` seconds without a step, or `first` seconds without the first one.
+    """
+    done, since, allowed = steps(), time.monotonic(), first
     while True:
         try:
-            return child.communicate(timeout=min(limit, POLL))[0]
+            return child.communicate(timeout=min(allowed, POLL))[0]
         except subprocess.TimeoutExpired:
             if (now := steps()) != done:
-                done, since = now, time.monotonic()
-            elif time.monotonic() - since >= limit:
+                done, since, allowed = now, time.monotonic(), limit
+            elif time.monotonic() - since >= allowed:
                 raise
 
 

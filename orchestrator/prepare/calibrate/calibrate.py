@@ -16,8 +16,8 @@ from ....schemas.file.reader import parse_campaign
 from ....schemas.system import SystemSpec
 from ...campaign import plan as plans
 from ...campaign.checks import check, check_new, check_sizes
+from ...fleet.children.rollouts import ChildRolloutError, ChildSystem, simulated_spec
 from ...mathematics.bounds.cost import LARGEST_MEMORY, calibration_memory, most
-from ..child_rollouts import ChildRolloutError, ChildSystem, simulated_spec
 from ..rounded import clip_around
 from .constants import Constant, ProblemCalibration
 from .design import RolloutBudget

@@ -25,8 +25,8 @@ from ...campaign.admission import check_whole
 from ...campaign.objectives import measured
 from ...campaign.observation import Observer
 from ...campaign.region import Start
+from ...fleet.children.rollouts import ChildRolloutError, ChildSystem, finished, simulate_in_child
 from ...mathematics.gp.kernels import Floats
-from ..child_rollouts import ChildRolloutError, ChildSystem, finished, simulate_in_child
 from ..seen_margins import SeenMargins
 from .constants import PilotPace
 from .design import NAME, calibration_seed

@@ -25,8 +25,8 @@ from ...campaign.plan import plans
 from ...campaign.starts import check_where
 from ...certificate.verify.stages import Report
 from ...fleet.children.child import named_campaign, system_options
+from ...fleet.children.rollouts import simulated_spec
 from ...fleet.children.simulate import chosen_horizon, chosen_options
-from ..child_rollouts import simulated_spec
 from ..seen_margins import SeenMargins
 from ..size import undecided_rollouts
 from .findings import SystemFinding

@@ -83,19 +83,10 @@ def judge_leftovers(measurements: Measurements) -> SystemFinding | None:
             "end every process, and wait for it, before the rollout returns: what runs on takes time from others",
         )
     if files:
-        made = {name for run in measurements.runs for found in run.measured for name in found.made}
-        temporary = {name for name in files if name.startswith("$TMPDIR")}  # which is of this check alone
-        other = [name for name in files if name not in made | temporary]
-        text = f"new files: {_few(files)}"
-        if len(other) == len(files):
-            text = f"new files, of a rollout or of another program: {_few(files)}"
-        elif other:
-            text += f"; of a rollout or of another program: {_few(other)}"
         return warning(
             "leftovers",
-            text,
-            "write no files in a rollout, or into the folder of its worker: workers share a folder"
-            + ("; if another program writes there, check again while it does not" if other else ""),
+            f"new files: {_few(files)}",
+            "write no files in a rollout, or into the folder of its worker: workers share a folder",
         )
     if threads or growing:
         names = f": {_few(threads)}" if threads else ""

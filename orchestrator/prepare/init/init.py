@@ -23,12 +23,12 @@ from ...campaign.checks import check_new
 from ...campaign.consistency import scope
 from ...certificate.words.format import duration
 from ...fleet.children.child import in_file, named_campaign, resolved
+from ...fleet.children.rollouts import ChildRolloutError, ChildSystem, simulated_spec
 from ...fleet.children.simulate import chosen_horizon
 from ...forecast.remaining import least_distance
 from ..calibrate.calibrate import Effort, proposals
 from ..calibrate.constants import Constant
 from ..check_system.files import to_declare
-from ..child_rollouts import ChildRolloutError, ChildSystem, simulated_spec
 from ..rounded import clip_around, covering, rounded_up
 from ..size import LEAST_COST, WORKERS, first_samples, first_size, proposed_batch
 from . import values

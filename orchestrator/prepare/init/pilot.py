@@ -14,7 +14,7 @@ from ....schemas.rollout import RolloutRequest
 from ....schemas.system import OptionValue, SystemSpec, Variant
 from ....schemas.trajectory.trajectory import Floats, Trajectory
 from ...campaign.admission import check_whole
-from ..child_rollouts import (
+from ...fleet.children.rollouts import (
     BatchCost,
     ChildRolloutError,
     ChildSystem,

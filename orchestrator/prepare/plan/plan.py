@@ -29,11 +29,7 @@ from ...campaign.seeds import drawn
 from ...campaign.starts import Draws
 from ...certificate.verify.stages import Report
 from ...certificate.words.format import duration
-from ...forecast.evidence import evidence_bytes
-from ...mathematics.bounds.cost import MethodSize
-from ...mathematics.gp.points import point_at
-from ..calibrate.design import calibration_seed
-from ..child_rollouts import (
+from ...fleet.children.rollouts import (
     ChildRolloutError,
     ChildSystem,
     cost_in_batch,
@@ -44,6 +40,10 @@ from ..child_rollouts import (
     simulated_spec,
     trial_batches,
 )
+from ...forecast.evidence import evidence_bytes
+from ...mathematics.bounds.cost import MethodSize
+from ...mathematics.gp.points import point_at
+from ..calibrate.design import calibration_seed
 from ..size import proposed_batch, undecided_rollouts
 from .fleet_need import FleetPlan, PilotFigures, ProblemSize, batch_work, fleet_plan
 from .rehearsal import REPEATED, PilotRollouts, Rehearsal, expected_tests, rehearsed

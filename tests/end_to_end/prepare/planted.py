@@ -2,6 +2,7 @@
 
 import ctypes
 import os
+import subprocess
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -158,6 +159,12 @@ def threads(x: float, y: float, *, seed: int, horizon: float) -> Floats:
 def files(x: float, y: float, *, seed: int, horizon: float) -> Floats:
     with open(f"log-{seed}.csv", "w") as file:
         file.write("1")
+    return height(x, y, seed, horizon)
+
+
+@planted()
+def touches(x: float, y: float, *, seed: int, horizon: float) -> Floats:
+    subprocess.run(["touch", f"log-{seed}.csv"], check=True)
     return height(x, y, seed, horizon)
 
 

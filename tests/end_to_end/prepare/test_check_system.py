@@ -3,6 +3,7 @@
 import json
 import shutil
 import subprocess
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -59,6 +60,7 @@ MORE = {
     "seeds_global": Fault("random state", "change the global state of numpy.random", DRAW, "warning"),
     "threads": Fault("leftovers", "more with every rollout: viewer", "join every thread", "warning", ("memory",)),
     "files": Fault("leftovers", "new files: log-", "write no files", "warning"),
+    "touches": Fault("leftovers", "new files: log-", "write no files", "warning"),
     "unrolled": Fault("batches", "differ from the same ones alone; most at x = ", "batch_is_the_unit=True"),
     "mixes": Fault("batches", "not independent and no bound holds", "no step, sum or maximum"),
     "uneven": Fault("times", "the steps of one trajectory are 0.001 to 0.199 s", "equal steps", "warning"),
@@ -111,6 +113,18 @@ def test_a_sound_system_passes(started: Processes, reference: str, options: tupl
     assert ended.code == 0, ended.err
     assert [each for each in found.values() if each["status"] != "passed"] == []
     assert ended.err == "", "progress is for terminals"
+
+
+def test_files_of_another_program_are_no_leftovers(started: Processes) -> None:
+    """They appear in the folder of the system, while its rollouts run."""
+    check = started.start("perfbound", "check-system", f"{PLANTED}:sound", "--json")
+    number = 0
+    while check.running:
+        (started.folder / f"backup-{number}.csv").touch()
+        number += 1
+        time.sleep(0.02)
+    found = {each["check"]: each for each in json.loads(check.wait().out)["checks"]}
+    assert (found["leftovers"]["status"], found["leftovers"]["detail"]) == ("passed", "none")
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler: apt install gcc")

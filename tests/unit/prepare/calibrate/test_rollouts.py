@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from perfbound.orchestrator.campaign import plan as plans
+from perfbound.orchestrator.fleet.children.rollouts import ChildSystem
 from perfbound.orchestrator.prepare.calibrate.budget import rollout_time
 from perfbound.orchestrator.prepare.calibrate.calibrate import check_effort
 from perfbound.orchestrator.prepare.calibrate.constants import PilotPace
@@ -17,7 +18,6 @@ from perfbound.orchestrator.prepare.calibrate.rollouts import (
     RolloutBatch,
     StartRollout,
 )
-from perfbound.orchestrator.prepare.child_rollouts import ChildSystem
 from perfbound.schemas.errors import PerfboundError
 from perfbound.schemas.values import Guess
 from perfbound.workers.systems import load_system

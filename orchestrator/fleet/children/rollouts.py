@@ -1,4 +1,4 @@
-"""Rollouts before there is a campaign: in one child process, one after the other, recorded nowhere."""
+"""Rollouts that no campaign records, before or as it begins: in one child process, one after the other."""
 
 import json
 from collections.abc import Callable, Iterator, Sequence
@@ -10,14 +10,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...schemas.batch import BatchRequest, alone
-from ...schemas.errors import CampaignError, PerfboundError, TrajectoryError
-from ...schemas.ids import RolloutId
-from ...schemas.requests import RequestTemplate
-from ...schemas.rollout import RolloutRequest
-from ...schemas.system import SystemSpec
-from ...schemas.trajectory.trajectory import Trajectory, decode
-from ..fleet.children.child import HangError, ask, system_options, system_spec
+from ....schemas.batch import BatchRequest, alone
+from ....schemas.errors import CampaignError, PerfboundError, TrajectoryError
+from ....schemas.ids import RolloutId
+from ....schemas.requests import RequestTemplate
+from ....schemas.rollout import RolloutRequest
+from ....schemas.system import SystemSpec
+from ....schemas.trajectory.trajectory import Trajectory, decode
+from .child import CHILD_TIMEOUT, HangError, ask, system_options, system_spec
 
 Done = Callable[[int], None]
 """Progress callback: rollouts that are finished."""
@@ -74,9 +74,11 @@ def simulate_in_child(
     try:
         # A file for each rollout, and before them one that says that the system is loaded.
         steps = partial(_written, folder, done)
-        ask("pilot", *place, *system_options(system.reference), limit=system.limit, steps=steps)
+        loading = max(system.limit, CHILD_TIMEOUT)  # it may take longer than a rollout
+        options = system_options(system.reference)
+        ask("pilot", *place, *options, limit=system.limit, loading=loading, steps=steps)
     except PerfboundError as error:
-        missing = (each for number, each in enumerate(requests) if not _file(folder, number).exists())
+        missing = (each for number, each in enumerate(requests) if not file_of(folder, number).exists())
         failed = next(missing, requests[-1])
         hang = f"the rollout gave no result within {system.limit:g} s, and was ended"
         reason = f"{hang}{error.place}" if isinstance(error, HangError) else error
@@ -94,7 +96,7 @@ def finished(
 
     """
     for number, request in enumerate(requests):
-        path = _file(folder, number)
+        path = file_of(folder, number)
         if not path.exists():
             return
         try:
@@ -130,9 +132,9 @@ class BatchCost(NamedTuple):
 
 def cost_in_batch(folder: Path, rollouts: int) -> BatchCost | None:
     """Return the cost in the `trial_batches` behind so many rollouts; None if none ran."""
-    if not _file(folder, rollouts + 1).exists():
+    if not file_of(folder, rollouts + 1).exists():
         return None
-    path, written = _file(folder, rollouts + 1), [_file(folder, k).stat().st_mtime for k in range(rollouts + 2)]
+    path, written = file_of(folder, rollouts + 1), [file_of(folder, k).stat().st_mtime for k in range(rollouts + 2)]
     *singly, _, batched = [after - before for before, after in pairwise(written)]
     # A batch may take as long as one rollout: what counts is what each further one adds.
     seconds = max(batched - min(singly, default=0.0), FASTEST) / (TRIED - 1)
@@ -152,7 +154,7 @@ def peak_memory(folder: Path) -> int:
 
 def file_size(folder: Path) -> float:
     """Return the bytes of the file of the first rollout."""
-    return _file(folder, 0).stat().st_size
+    return file_of(folder, 0).stat().st_size
 
 
 def undeclared_files(folder: Path) -> tuple[str, ...]:
@@ -165,7 +167,8 @@ def _loaded(folder: Path) -> dict[str, Any]:
     return found
 
 
-def _file(folder: Path, number: int) -> Path:
+def file_of(folder: Path, number: int) -> Path:
+    """Return where `simulate_in_child` writes the file of a request, by its number from 0."""
     return folder / f"{number}.mcap"
 
 
