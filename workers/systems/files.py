@@ -17,7 +17,7 @@ from ...schemas.file.reader import load_description
 from ...schemas.file.space import SystemChoice
 from ...schemas.places import PACKAGES
 from ...schemas.system import Variant
-from ..faults import NOT_OF_SYSTEMS
+from ..faults import NOT_OF_SYSTEMS, reason
 from .base import SystemUnderTest
 from .declared import DeclaredFiles, WithSpec, declared_files
 from .fingerprint import code_of_files, sources_of, versions_of
@@ -231,7 +231,7 @@ def _imported(path: Path) -> ModuleType:
             (each for each in reversed(traceback.extract_tb(error.__traceback__)) if each.filename == str(path)), None
         )
         where = f"{path}, line {place.lineno}" if place else str(path)
-        raise DefinitionError(f"{where}: {type(error).__name__}: {error}") from None
+        raise DefinitionError(f"{where}: {reason(error)}") from None
     finally:
         _loading.pop()
     return module
