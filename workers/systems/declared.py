@@ -68,6 +68,11 @@ class WithSpec(SystemUnderTest):
         """The specification that says more."""
         return self._spec
 
+    @property
+    def step(self) -> float | None:
+        """Seconds between two samples, where the system says so."""
+        return getattr(self._system, "step", None)
+
     def rollout(self, x: Sequence[Any], **arguments: Any) -> Trajectory:
         """Simulate with the system.
 

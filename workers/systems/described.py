@@ -109,7 +109,10 @@ def steps_within(horizon: float, step: float, name: str) -> int:
 def check_horizon(horizon: float | None, step: float, where: str) -> None:
     """Refuse a horizon without a step."""
     if horizon is not None and horizon < step * (1.0 - 1e-9):
-        raise DefinitionError(f"{where}: horizon: {horizon:g} s is less than one step of the system, {step:g} s")
+        raise DefinitionError(
+            f"{where}: horizon: {horizon:g} s is less than one step of the system, {step:g} s; give the s that a "
+            "rollout lasts"
+        )
 
 
 @contextmanager

@@ -87,7 +87,7 @@ def plan_campaign(config: CampaignConfig, source: Path, workers: int, report: Re
 
     """
     reference = config.system.reference(source)
-    spec = simulated_spec(reference, f"{source}: {config.system.place}")
+    spec = simulated_spec(reference, f"{source}: {config.system.place}", config.horizon)
     check_new(config, spec, str(source))
     header = Header.new(config, spec, {}, run=NAME)
     found = plans(config, header.spec)
