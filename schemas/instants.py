@@ -157,6 +157,8 @@ def _uncovered(stamps: bytes, horizon: float) -> str | None:
     if last > horizon + around[-1]:
         milliseconds = horizon > 0.0 and abs(last / 1000.0 - horizon) <= horizon / SAMPLES
         remedy = "give seconds, not milliseconds" if milliseconds else "end at the horizon, in seconds"
+        if not horizon:
+            remedy = f"give the campaign horizon = {there}, or return one sample alone"
         return f"the last row, {row}, is at t = {there} s, and the horizon is {end} s: {remedy}"
     if ends_early(times, horizon):
         return (

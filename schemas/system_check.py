@@ -40,6 +40,13 @@ class BatchDifference(Model):
     distance: float
 
 
+class Acts(Model):
+    """What a policy or a controller did in a rollout that may be a mistake: in words, empty where it is none."""
+
+    outside: str = Field(default="", description="the first action outside its range")
+    idle: str = Field(default="", description="how no actuator was set in the whole rollout")
+
+
 class SampleTimes(Model):
     """The sample times of a trajectory, in s; the steps of a single sample are 0.
 
@@ -72,6 +79,7 @@ class Measured(Model):
     file_bytes: int = 0
     grid: SampleTimes | None = None
     reported: tuple[float, ...] = Field(default=(), description="disturbances that the rollout reports")
+    acts: Acts | None = Field(default=None, description="of a system with a policy or a controller")
     seconds: float = Field(default=0.0, description="of the rollout, or of one more rollout of a batch")
     differences: tuple[BatchDifference, ...] = Field(default=(), description="of a batch")
     memory: int = Field(default=0, description="bytes of the process and those it started in memory, after the rollout")

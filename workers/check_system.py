@@ -28,7 +28,7 @@ from ..schemas.places import of_perfbound, own_place
 from ..schemas.system_check import Measured, SampleTimes, Trial
 from ..schemas.trajectory.trajectory import Trajectory, decode
 from .check_batch import compared
-from .faults import NOT_OF_SYSTEMS
+from .faults import NOT_OF_SYSTEMS, reason
 from .opened import Opened
 from .simulate import requested_system, run_request_on
 from .systems import load_system
@@ -154,6 +154,7 @@ def _measured(trial: Trial, kept: Path | None) -> Measured:
         beginning_sha256=_samples_sha256(trajectory.samples[t <= trial.beginning + ROUND_OFF]),
         file_bytes=len(payload),
         grid=_grid(trajectory, request.horizon),
+        acts=acted() if (acted := getattr(system, "acted", None)) else None,
         reported=tuple(
             float(trajectory.samples[0, trajectory.columns.index(each.name)]) for each in system.spec.reported
         ),
@@ -162,11 +163,10 @@ def _measured(trial: Trial, kept: Path | None) -> Measured:
 
 
 def _failed(error: BaseException, seconds: float) -> Measured:
-    text = str(error).partition("\n")[0]
     known = isinstance(error, PerfboundError)
     frames = [(each.filename, each.lineno or 0) for each in traceback.extract_tb(error.__traceback__)]
-    reason = text if known and text else f"{type(error).__name__}: {text}"
-    printable = reason[:REASON].encode(errors="backslashreplace").decode()
+    text = str(error).partition("\n")[0] if known else ""
+    printable = (text or reason(error).partition("\n")[0])[:REASON].encode(errors="backslashreplace").decode()
     raised = bool(frames) and not of_perfbound(frames[-1][0])
     return Measured(error=printable, raised=raised, place=own_place(frames), seconds=seconds)
 

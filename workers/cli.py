@@ -226,13 +226,16 @@ def systems() -> None:
 
 @group.command()
 @click.argument("reference")
-def spec(reference: str) -> None:
+@click.option("--horizon", type=float, default=0.0, help="s; one that is shorter than a step is refused.")
+def spec(reference: str, horizon: float) -> None:
     """Print the SystemSpec of a system in a file as JSON."""
     from .systems import load_system  # noqa: PLC0415
+    from .systems.described import check_horizon  # noqa: PLC0415
 
     system = load_system(_add_file(reference))
     try:
         found = system.spec
+        check_horizon(horizon or None, getattr(system, "step", None) or 0.0, reference)
     except PerfboundError as error:  # of two simulators that do not fit together, or of which one is missing here
         fail(*error.lines)
     answer(canonical_json(found.model_dump(mode="json")))

@@ -278,8 +278,8 @@ def _check_tolerance(config: CampaignConfig, spec: SystemSpec, source: str) -> N
         for problem in part.problems:
             if isinstance(problem, KrigingProblem | PaperProblem):
                 raise CampaignError(
-                    f"{source}: method: {problem.method!r} takes each rollout as one of the start that was asked for; "
-                    "with a tolerance choose 'rigorous' with `misspecification`, 'scenario' or 'sample'"
+                    f"{source}: method: of a rig with a tolerance choose 'sample' or 'scenario', or 'rigorous' with "
+                    f"`misspecification`; {problem.method!r} takes each rollout as one of the start that was asked for"
                 )
             if not isinstance(problem, RigorousProblem):
                 continue

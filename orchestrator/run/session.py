@@ -65,7 +65,7 @@ def start_campaign(
     """
     reference = options.system or config.system.reference(source)
     where = f"{source}: {config.system.place}"
-    spec = options.own.spec if options.own else child.system_spec(reference, where)
+    spec = options.own.spec if options.own else child.system_spec(reference, where, config.horizon)
     check_new(config, spec, str(source))
     check_workers(spec, options.own, source, options.workers)
     # After the file: a copied one with a typo is at fault itself, and not the directory of its name.

@@ -17,7 +17,7 @@ from ...schemas.file.logs import LogMapping
 from ...schemas.instants import ends_early, uncovered
 from ...schemas.system import SystemSpec
 from ...schemas.trajectory.trajectory import Trajectory
-from ..faults import NOT_OF_SYSTEMS, fault_text
+from ..faults import NOT_OF_SYSTEMS, fault_text, missing
 from ..handed_in import whole
 from .messages import SECOND, Signal, is_of_messages, read_messages
 from .tables import MAX_LOG, READERS, TIME, read_table
@@ -30,7 +30,6 @@ ULPS = 4
 SLACK = 1e-9
 """Relative; of times that were computed with a rounding."""
 FORMS = ("CSV", "Parquet", "MAT", "MCAP", "bag", "folder of rosbag2")
-EXTRAS = {"pyarrow": "parquet", "rosbags": "logs", "mcap_protobuf": "logs"}
 
 
 class LogReader:
@@ -260,8 +259,8 @@ def _first(found: NDArray[np.bool_]) -> int:
 
 
 def _reason(error: BaseException) -> str:
-    if isinstance(error, ModuleNotFoundError) and (extra := EXTRAS.get((error.name or "").partition(".")[0])):
-        return f"{error.name} is missing: pip install 'perfbound[{extra}]'"
+    if isinstance(error, ModuleNotFoundError) and error.name:
+        return f"{error.name} is not installed; {missing(error.name)}"
     if isinstance(error, EOFError | struct.error) or type(error).__name__ == "EndOfFile":
         return "it is truncated"
     return fault_text(error)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ...schemas.errors import SimulationError
 from ...schemas.system import Option, OptionValue, SystemSpec, Variant
+from ...schemas.system_check import Acts
 from ...schemas.trajectory.input_signal import InputSignal
 from ...schemas.trajectory.trajectory import Trajectory, Visual
 
@@ -70,6 +71,10 @@ class SystemUnderTest(Protocol):
 
         Optional: None, the default, draws nothing.
         """
+        return None
+
+    def acted(self) -> Acts | None:
+        """Return what a policy did in the last rollout, for `check-system`; None, the default, without one."""
         return None
 
 

@@ -12,6 +12,7 @@ from typing import Any, cast
 
 from ...schemas.errors import DefinitionError, ReplacedError
 from ...schemas.system import SystemSpec
+from ...schemas.system_check import Acts
 from ...schemas.trajectory.trajectory import Trajectory, Visual
 from .base import Floats, SystemUnderTest, Vectorised
 from .fingerprint import CACHES, file_sha256
@@ -67,6 +68,11 @@ class WithSpec(SystemUnderTest):
         """The specification that says more."""
         return self._spec
 
+    @property
+    def step(self) -> float | None:
+        """Seconds between two samples, where the system says so."""
+        return getattr(self._system, "step", None)
+
     def rollout(self, x: Sequence[Any], **arguments: Any) -> Trajectory:
         """Simulate with the system.
 
@@ -93,6 +99,11 @@ class WithSpec(SystemUnderTest):
         """Return the visual part that the system gives, if it gives any: a class need not derive from the port."""
         visual = getattr(self._system, "visual", None)
         return None if visual is None else visual(trajectory)
+
+    def acted(self) -> Acts | None:
+        """Return what a policy did in the last rollout of the system."""
+        acted = getattr(self._system, "acted", None)
+        return None if acted is None else cast(Acts | None, acted())
 
 
 def declared_files(patterns: object, folder: Path, base: Path | None = None) -> dict[str, Path]:

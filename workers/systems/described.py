@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ...schemas.errors import DefinitionError, SimulationError
 from ...schemas.file.config import CampaignConfig
+from ...schemas.instants import SAMPLES
 from ...schemas.system import Option, OptionValue, Parameter, SystemSpec
 from ...schemas.trajectory.trajectory import Trajectory, Visual
 from ..faults import NOT_OF_SYSTEMS, fault_text
@@ -107,9 +108,29 @@ def steps_within(horizon: float, step: float, name: str) -> int:
 
 
 def check_horizon(horizon: float | None, step: float, where: str) -> None:
-    """Refuse a horizon without a step."""
-    if horizon is not None and horizon < step * (1.0 - 1e-9):
-        raise DefinitionError(f"{where}: horizon: {horizon:g} s is less than one step of the system, {step:g} s")
+    """Refuse a horizon that samples at the multiples of `step` do not cover; of 0, no step, nothing is known.
+
+    >>> check_horizon(10.0, 0.3, "c.toml")
+    >>> check_horizon(10.0, 3.0, "c.toml")
+    Traceback (most recent call last):
+    ...
+    perfbound.schemas.errors.DefinitionError: c.toml: horizon: of steps of 3 s the last one before 10 s ends at 9 s; \
+give horizon = 9, or another step
+
+    """
+    if horizon is None or not step:
+        return
+    if horizon < step * (1.0 - 1e-9):
+        raise DefinitionError(
+            f"{where}: horizon: {horizon:g} s is less than one step of the system, {step:g} s; give the s that a "
+            "rollout lasts"
+        )
+    last = steps_within(horizon, step, where) * step
+    if horizon - last > horizon / SAMPLES * (1.0 + 1e-9):
+        raise DefinitionError(
+            f"{where}: horizon: of steps of {step:g} s the last one before {horizon:g} s ends at {last:g} s; give "
+            f"horizon = {last:g}, or another step"
+        )
 
 
 @contextmanager

@@ -24,8 +24,9 @@ from ...schemas.errors import DefinitionError, SimulationError, meant, shortened
 from ...schemas.file.config import CampaignConfig
 from ...schemas.file.space import SystemChoice
 from ...schemas.system import ENDED, OptionValue, SystemSpec, Variant, timed_columns
+from ...schemas.system_check import Acts
 from ...schemas.trajectory.trajectory import Trajectory
-from ..faults import fault_text
+from ..faults import fault_text, missing
 from .base import Floats, Progress, SystemUnderTest, checked_options
 from .declared import DeclaredFiles, WithSpec, declared_files
 from .described import (
@@ -61,6 +62,8 @@ class Environment:
         self.observed = tuple(_names(env.observation_space))
         """The names of the numbers of an observation."""
         self._setters = {name: self._setter(name) for name in names}
+        self.outside = ""
+        """The first action of the last episode outside the limits of the environment, in words."""
 
     def _check_start(self, start: Callable[..., Any]) -> None:
         """Refuse a function `reset` that does not take what it is called with, where Python knows it."""
@@ -129,6 +132,7 @@ class Environment:
     ) -> Iterator[tuple[Any, float, bool, Mapping[str, Any]]]:
         """Yield observation, reward, whether the episode has ended, and info: at 0 and after every step."""
         observation, info = self._begun(start, seed)
+        self.outside = ""
         if self._policy.reset is not None:
             self._policy.reset()
         ended = False
@@ -151,9 +155,11 @@ class Environment:
     def _checked(self, action: Any) -> Any:
         """Return an action, if it is one: many environments take the first number of another array, or NaN."""
         space = self.env.action_space
-        if hasattr(space, "low"):  # within its limits or not, which an environment clips
+        if hasattr(space, "low"):  # within its limits or not, which many an environment clips
             found = np.asarray(action)
             fits = found.shape == space.shape and found.dtype.kind in "fiub" and bool(np.isfinite(found).all())
+            if fits and not self.outside and _beyond(space, found):
+                self.outside = f"{self._policy.path.name} returned {shortened(repr(action))}, outside {space}"
         else:
             fits = space.contains(action)
         if not fits:
@@ -235,6 +241,10 @@ class EnvironmentSystem(DescribedSystem):
         rows[0] = [after if here is None else here for here, after in zip(rows[0], rows[1], strict=True)]
         return Trajectory(self._spec.own_columns, np.array(rows, dtype=np.float64))
 
+    def acted(self) -> Acts:
+        """Return whether an action of the last rollout was outside the limits of the environment."""
+        return Acts(outside=self._environment.outside)
+
     def _row(self, number: int, observation: Any, reward: float, ended: bool, info: Mapping[str, Any]) -> list[Any]:
         environment = self._environment
         known: dict[str, Any] = dict(zip(environment.observed, environment.seen(observation), strict=True))
@@ -246,6 +256,12 @@ class EnvironmentSystem(DescribedSystem):
                 raise SimulationError(f"{self._spec.name}: info has no number {name!r} after step {number}")
             row.append(None if value is None else float(value))
         return row
+
+
+def _beyond(space: Any, action: Any) -> bool:
+    """Whether a number of an action is beyond its limits, in their precision: 0.7 is not above that of float32."""
+    numbers = action.astype(space.dtype) if space.dtype.kind == "f" else action
+    return bool(((numbers < space.low) | (numbers > space.high)).any())
 
 
 def load_environment(file: Path, config: CampaignConfig) -> SystemUnderTest:
@@ -262,7 +278,7 @@ def load_environment(file: Path, config: CampaignConfig) -> SystemUnderTest:
     try:
         import gymnasium  # noqa: PLC0415  (an extra)
     except ImportError:
-        raise DefinitionError(f"{file}: system.gymnasium: pip install 'perfbound[gymnasium]'") from None
+        raise DefinitionError(f"{file}: system.gymnasium: gymnasium is not installed; {missing('gymnasium')}") from None
     # It says at every rollout that an episode has ended, which is what `ended` is for.
     gymnasium.logger.min_level = gymnasium.logger.ERROR
     where, environment_id = str(file), choice.gymnasium

@@ -17,9 +17,10 @@ from ...schemas.file.reader import load_description
 from ...schemas.file.space import SystemChoice
 from ...schemas.places import PACKAGES
 from ...schemas.system import Variant
-from ..faults import NOT_OF_SYSTEMS
+from ..faults import NOT_OF_SYSTEMS, reason
 from .base import SystemUnderTest
 from .declared import DeclaredFiles, WithSpec, declared_files
+from .described import check_horizon
 from .fingerprint import code_of_files, sources_of, versions_of
 from .pair import Half, TwoSimulators
 from .program import load_program
@@ -84,8 +85,9 @@ def _both(path: Path, config: CampaignConfig) -> TwoSimulators:
         part = config.model_copy(update={"system": choice})
         try:
             system = load_system(choice.name) if choice.name else _described(path, part)
+            check_horizon(config.horizon or None, getattr(system, "step", None) or 0.0, str(path))
         except (DefinitionError, UnknownSystemError) as error:
-            halves[variant] = str(error)
+            halves[variant] = str(error).removeprefix(f"{path}: ")
             continue
         try:
             halves[variant] = Half(system, variant, choice, pair.columns or {}, pair.label)
@@ -93,7 +95,7 @@ def _both(path: Path, config: CampaignConfig) -> TwoSimulators:
             raise DefinitionError(f"{path}: system.{error}") from None
     reasons = [each for each in halves.values() if isinstance(each, str)]
     if len(reasons) == len(halves):
-        raise DefinitionError("; ".join(reasons))
+        raise DefinitionError(f"{path}: system: " + "; ".join(reasons))
     return TwoSimulators(pair.label, halves)
 
 
@@ -231,7 +233,7 @@ def _imported(path: Path) -> ModuleType:
             (each for each in reversed(traceback.extract_tb(error.__traceback__)) if each.filename == str(path)), None
         )
         where = f"{path}, line {place.lineno}" if place else str(path)
-        raise DefinitionError(f"{where}: {type(error).__name__}: {error}") from None
+        raise DefinitionError(f"{where}: {reason(error)}") from None
     finally:
         _loading.pop()
     return module

@@ -21,7 +21,7 @@ from ...schemas.file.space import SystemChoice
 from ...schemas.system import OptionValue, Parameter, SystemSpec, Variant, timed_columns
 from ...schemas.trajectory.input_signal import InputSignal
 from ...schemas.trajectory.trajectory import Floats, Trajectory
-from ..faults import NOT_OF_SYSTEMS
+from ..faults import NOT_OF_SYSTEMS, missing
 from .base import Cancelled, Progress, SystemUnderTest, checked_options
 from .declared import DeclaredFiles, WithSpec, declared_files
 from .described import (
@@ -267,7 +267,7 @@ def load_fmu(file: Path, config: CampaignConfig) -> SystemUnderTest:
     try:
         import fmpy  # noqa: PLC0415  (an extra)
     except ImportError:
-        raise DefinitionError(f"{where}: system.fmu: pip install 'perfbound[fmu]'") from None
+        raise DefinitionError(f"{where}: system.fmu: fmpy is not installed; {missing('fmpy')}") from None
     place = f"{where}: system.fmu: {choice.fmu}"
     if not path.is_file():
         what = "is a folder; name the file in it" if path.is_dir() else f"there is no such file in {folder}"

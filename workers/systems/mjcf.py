@@ -20,8 +20,10 @@ from ...schemas.errors import DefinitionError, SimulationError, meant, shortened
 from ...schemas.file.config import CampaignConfig
 from ...schemas.file.space import SystemChoice
 from ...schemas.system import OptionValue, Parameter, SystemSpec, Variant, timed_columns
+from ...schemas.system_check import Acts
 from ...schemas.trajectory.input_signal import InputSignal
 from ...schemas.trajectory.trajectory import Trajectory
+from ..faults import missing
 from .base import Progress, SystemUnderTest, checked_options
 from .declared import DeclaredFiles, WithSpec, declared_files
 from .described import (
@@ -108,6 +110,7 @@ class MjcfSystem(DescribedSystem):
     def __init__(self, spec: SystemSpec, model: Model) -> None:
         super().__init__(spec)
         self._model = model
+        self._idle = False
 
     def rollout(
         self,
@@ -157,13 +160,16 @@ class MjcfSystem(DescribedSystem):
         in_halves = model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4
         arrays = [(getattr(data, place.array), place.offset) for place in map(self._place, self._model.recorded)]
         last = len(times) - 1
+        self._idle, unset = control is not None and bool(model.nu), _set_values(data)
         for k, t in enumerate(times.tolist()):
             for index, signal in signals.items():
                 data.ctrl[index] = signal(t)
             if control is not None:
                 # It sees positions, velocities and their sensors of this time.
                 (mujoco.mj_step1 if in_halves else mujoco.mj_forward)(model, data)
-                self._apply(control(model, data), data)
+                returned = control(model, data)
+                self._idle = self._idle and returned is None and _set_values(data) == unset
+                self._apply(returned, data)
             state = [None if array is data.sensordata else array[index] for array, index in arrays]
             if k == last:
                 mujoco.mj_forward(model, data)
@@ -176,6 +182,14 @@ class MjcfSystem(DescribedSystem):
             yield [array[index] if value is None else value for value, (array, index) in found]
             if k < last and self._model.substeps > 1:
                 mujoco.mj_step(model, data, self._model.substeps - 1)
+
+    def acted(self) -> Acts | None:
+        """Return whether the controller set anything in the last rollout; None without one."""
+        if self._model.policy is None:
+            return None
+        name, count = self._model.policy.path.name, self._model.model.nu
+        idle = f"{name} returned None at every step, and set none of the {count} actuators"
+        return Acts(idle=idle if self._idle else "")
 
     def _place(self, name: str) -> Place:
         return self._model.places[name]
@@ -231,7 +245,7 @@ def load_mjcf(file: Path, config: CampaignConfig) -> SystemUnderTest:
     try:
         import mujoco  # noqa: PLC0415  (an extra)
     except ImportError:
-        raise DefinitionError(f"{where}: system.mjcf: pip install 'perfbound[mujoco]'") from None
+        raise DefinitionError(f"{where}: system.mjcf: mujoco is not installed; {missing('mujoco')}") from None
     place = f"{where}: system.mjcf: {choice.mjcf}"
     if not path.is_file():
         what = "is a folder; name the file in it" if path.is_dir() else f"there is no such file in {folder}"
@@ -277,6 +291,11 @@ def load_mjcf(file: Path, config: CampaignConfig) -> SystemUnderTest:
         )
     found = Model(mujoco, model, places, keyframe, substeps, list(columns), policy, takes_seed)
     return WithSpec(MjcfSystem(spec, found), files)
+
+
+def _set_values(data: Any) -> tuple[bytes, ...]:
+    """Return what a controller may set in place of what it returns, bit by bit."""
+    return tuple(each.tobytes() for each in (data.ctrl, data.qfrc_applied, data.xfrc_applied, data.mocap_pos))
 
 
 def _controller(choice: SystemChoice, folder: Path, where: str) -> Policy | None:

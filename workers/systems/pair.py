@@ -11,6 +11,7 @@ import numpy as np
 from ...schemas.errors import DefinitionError, SimulationError, UnknownSystemError
 from ...schemas.file.space import SystemChoice
 from ...schemas.system import Parameter, SystemSpec, Variant, timed_columns
+from ...schemas.system_check import Acts
 from ...schemas.trajectory.trajectory import Trajectory, Visual
 from .base import Floats, SystemUnderTest, Vectorised
 from .described import DescribedSystem, fixed_option
@@ -54,6 +55,11 @@ class Half(DescribedSystem):
         """Simulate many with a vectorised simulator; raises as that."""
         found = np.asarray(cast(Vectorised, self._system).rollouts(starts, **self._translated(arguments)))
         return found[:, :, self._places]
+
+    def acted(self) -> Acts | None:
+        """Return what a policy did in the last rollout of the simulator."""
+        acted = getattr(self._system, "acted", None)
+        return None if acted is None else cast(Acts | None, acted())
 
     def _translated(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
         # What the other one alone takes.

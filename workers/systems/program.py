@@ -32,7 +32,7 @@ from ...schemas.trajectory.input_signal import InputSignal
 from ...schemas.trajectory.trajectory import Trajectory
 from .base import Progress, checked_disturbances, checked_options
 from .declared import NO_FILES, DeclaredFiles, declared_files
-from .described import DescribedSystem, name_of, option_of, space_parameters
+from .described import DescribedSystem, check_horizon, name_of, option_of, space_parameters
 from .place import Worker
 from .running import Command, EndedError, RunningProgram
 
@@ -211,8 +211,9 @@ def read_samples(path: Path, form: SampleFormat, columns: Sequence[str]) -> Floa
     except (ValueError, EOFError, OSError) as error:
         raise SimulationError(f"the program's samples are not {form}: {error}") from None
     if samples.ndim != 2 or samples.shape[1] != len(columns) or not len(samples):
-        listed = ", ".join(columns)
-        raise SimulationError(f"the program wrote an array {samples.shape}, not samples of {listed}")
+        listed, timeless = ", ".join(columns), samples.ndim == 2 and samples.shape[1] == len(columns) - 1
+        missing = "; write the time of each sample first, or give its `step` in [system]" if timeless else ""
+        raise SimulationError(f"the program wrote an array {samples.shape}, not samples of {listed}{missing}")
     return samples
 
 
@@ -292,6 +293,8 @@ def load_program(file: Path, config: CampaignConfig) -> ProgramSystem:
     assert choice.program is not None, "of a program"
     assert choice.columns is not None, "required by a program"
     named = _named_files(choice.program, folder, f"{file}: system.program")
+    if config.horizon and choice.step is not None:
+        check_horizon(config.horizon, choice.step, str(file))
     try:
         declared = declared_files(choice.files or (), folder)
         # The program itself is last. It is started anew after a failed rollout, or after each.

@@ -205,11 +205,14 @@ def installed_systems() -> dict[str, SystemSpec | str]:
 OTHER_KEYS = ("space: ", "system.", "system: ", "horizon: ")
 
 
-def system_spec(reference: str, where: str) -> SystemSpec:
+def system_spec(reference: str, where: str, horizon: float | None = None) -> SystemSpec:
     """Return one system: an installed one, `FILE.py:NAME`, or that of a campaign file.
 
+    `horizon` is that of the campaign in s, by default that of a campaign file.
+
     Raises:
-        CampaignError: it is not installed, in which case the text names those that are; or it cannot be used here.
+        CampaignError: it is not installed, in which case the text names those that are; or it cannot be used here, or
+            has a longer step than the horizon.
 
     """
     name = resolved(reference)
@@ -217,13 +220,15 @@ def system_spec(reference: str, where: str) -> SystemSpec:
         raise CampaignError(f"{where}: {name}: name the function in it, too: {name}:NAME")
     if in_file(name):
         try:
-            return SystemSpec.model_validate_json(ask("spec", name))
+            if horizon is None:
+                horizon = campaign.horizon if (campaign := named_campaign(reference)) else 0.0
+            return SystemSpec.model_validate_json(ask("spec", name, "--horizon", str(horizon)))
         except PerfboundError as error:
             # The worker names the file, and the key that `where` may end with.
             file, _, key = where.rpartition(": ")
             texts = [line.removeprefix(f"{name}: ").removeprefix(f"{key}: ") for line in error.lines]
             # Another key of the file may be at fault.
-            found = [f"{file or name if text.startswith(OTHER_KEYS) else where}: {text}" for text in texts]
+            found = [f"{file or reference if text.startswith(OTHER_KEYS) else where}: {text}" for text in texts]
             raise CampaignError(*found) from None
     known = installed_systems()
     if name not in known:

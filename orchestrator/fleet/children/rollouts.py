@@ -35,9 +35,9 @@ class SlowRolloutError(ChildRolloutError):
     """A rollout has not ended in its time."""
 
 
-def simulated_spec(reference: str, where: str) -> SystemSpec:
+def simulated_spec(reference: str, where: str, horizon: float | None = None) -> SystemSpec:
     """Return a system of which rollouts can be made here; raises as `system_spec`, and of a rig."""
-    spec = system_spec(reference, where)
+    spec = system_spec(reference, where, horizon)
     if spec.repeated == "nowhere":
         raise CampaignError(
             f"{where}: {spec.name} is a rig, of which nothing here makes a rollout; its campaign file is written by "

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from .errors import FormulaError
+from .errors import FormulaError, place_of
 from .tokens import FormulaToken, tokens
 
 __all__ = ["MAX_NESTING", "Cursor"]
@@ -32,9 +32,14 @@ class Cursor:
         return self._tokens[self._next]
 
     @property
-    def after(self) -> FormulaToken:
-        """The token after the next one, which must not be the end."""
-        return self._tokens[self._next + 1]
+    def before(self) -> FormulaToken:
+        """The last token that it moved past."""
+        return self._tokens[self._next - 1]
+
+    @property
+    def following(self) -> tuple[FormulaToken, FormulaToken]:
+        """The next two tokens; behind the end there is the end."""
+        return self.token, self._tokens[min(self._next + 1, len(self._tokens) - 1)]
 
     def advance(self) -> None:
         """Move past the next token."""
@@ -52,6 +57,10 @@ class Cursor:
         """Return the error that marks `token`, by default the next one."""
         place = token or self.token
         return FormulaError(reason, self._text, place.position, len(place.text))
+
+    def place(self, token: FormulaToken) -> str:
+        """Return where a token is, in words."""
+        return place_of(self._text, token.position)
 
     @contextmanager
     def nested(self) -> Iterator[None]:

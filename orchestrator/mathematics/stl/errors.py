@@ -2,7 +2,7 @@
 
 from typing import ClassVar
 
-__all__ = ["FormulaError"]
+__all__ = ["FormulaError", "place_of"]
 
 
 class FormulaError(ValueError):
@@ -18,11 +18,12 @@ class FormulaError(ValueError):
     def __init__(self, reason: str, text: str = "", position: int | None = None, length: int = 1) -> None:
         self.reason, self.position = reason, position
         super().__init__(
-            reason if position is None else f"{_where(text, position)}: {reason} : {_mark(text, position, length)}"
+            reason if position is None else f"{place_of(text, position)}: {reason} : {_mark(text, position, length)}"
         )
 
 
-def _where(text: str, position: int) -> str:
+def place_of(text: str, position: int) -> str:
+    """Return a position in words; of a text with several lines with its line."""
     line = text.count("\n", 0, position)
     character = position - (text.rfind("\n", 0, position) + 1) + 1
     return f"line {line + 1}, character {character}" if "\n" in text.rstrip() else f"character {character}"

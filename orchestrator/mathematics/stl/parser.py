@@ -20,12 +20,12 @@ chain, the rest groups to the left):
 One ladder serves formulas and arithmetic, so that "(" needs no look-ahead; every operator checks its operands' kind.
 """
 
-import difflib
 import math
 from collections.abc import Callable, Collection
 from typing import cast
 
 from ....schemas.values import FORMULA_WORDS
+from . import hints
 from .cursor import Cursor
 from .errors import FormulaError
 from .shorthand import spelled_out
@@ -58,10 +58,6 @@ from .tree import (
 __all__ = ["Formula", "FormulaError", "columns", "parse_formula"]
 
 _UNTIL: dict[str, Reading] = {"until": "standard", "until_from": "paper"}
-_BEGINNINGS = {"always", "eventually"}
-_BETWEEN = {*_UNTIL, "and", "or", "implies"}
-_OPERATORS = ("always", "eventually", *_UNTIL, "not", "and", "or", "implies")
-_COMPARATORS = {"<=", ">=", "<", ">"}
 
 
 def parse_formula(text: str, known: Collection[str] | None = None) -> Formula:
@@ -83,16 +79,20 @@ def parse_formula(text: str, known: Collection[str] | None = None) -> Formula:
 
 def _spelled_error(error: FormulaError, text: str, known: Collection[str] | None) -> FormulaError:
     """Return the error of a text: with its spelling here, if it is a formula of other tools."""
-    if (spelling := spelled_out(text, known)) is None:
-        return error
-    reason = f"write `{spelling.text}`"
-    try:
-        _parsed(spelling.text, known)
-    except FormulaError as further:
-        if error.position != spelling.position:  # the first fault is another one
-            return error
-        reason += f"; there: {further.reason}"
-    return FormulaError(reason, text, spelling.position, spelling.length)
+    found, unread = error, math.inf
+    for spelling in spelled_out(text, known):
+        reason, length = f"write `{spelling.text}`", spelling.length
+        try:
+            _parsed(spelling.text, known)
+        except FormulaError as further:
+            left = len(spelling.text) - (further.position or 0)
+            # The first fault may be another one, and another reading may be one of more of the text.
+            if left <= unread and 0 <= (error.position or 0) - spelling.position < length:
+                unread, reason = left, f"{reason}; there: {further.reason}"
+                found = FormulaError(reason, text, spelling.position, length)
+        else:
+            return FormulaError(reason, text, spelling.position, length)
+    return found
 
 
 def _parsed(text: str, known: Collection[str] | None) -> Formula:
@@ -100,7 +100,7 @@ def _parsed(text: str, known: Collection[str] | None) -> Formula:
     start = cursor.token
     tree = _Grammar(cursor, known).formula()
     if cursor.token.kind != "end":
-        raise cursor.error(_surplus(cursor.token))
+        raise cursor.error(hints.surplus(cursor.token))
     return _as_formula(cursor, tree, start)
 
 
@@ -162,7 +162,7 @@ class _Grammar:
     def _comparison(self) -> Node:
         start = self._cursor.token
         left = self._sum()
-        operator = self._cursor.take(*_COMPARATORS)
+        operator = self._cursor.take(*hints.COMPARATORS)
         if operator is None:
             return left
         right = _numeric_phrase(self._cursor, self._sum)
@@ -201,23 +201,30 @@ class _Grammar:
     def _atom(self) -> Node:
         token = self._cursor.token
         if token.kind == "number":
-            return _literal(self._cursor)
+            number = _literal(self._cursor, self._known)
+            if reason := hints.decimal(token, *self._cursor.following):
+                raise self._cursor.error(reason, token)
+            return number
         if self._cursor.take("abs"):
-            return Absolute(_as_expression(self._cursor, self._parenthesis(), token))
+            node = self._parenthesis(f"write abs({self._cursor.token.text or 'x'})")
+            return Absolute(_as_expression(self._cursor, node, token, "; close abs( ) before the comparison"))
         if token.text == "(":
             return self._parenthesis()
         if token.kind == "word" and token.text not in FORMULA_WORDS:
             return _column(self._cursor, self._known)
-        raise self._cursor.error(_unexpected(token))
+        raise self._cursor.error(hints.unexpected(token))
 
-    def _parenthesis(self) -> Node:
+    def _parenthesis(self, remedy: str = "") -> Node:
+        opened = self._cursor.token
         if not self._cursor.take("("):
-            raise self._cursor.error("'(' expected")
+            raise self._cursor.error(f"'(' expected; {remedy}")
         with self._cursor.nested():
             node = self.formula()
         if not self._cursor.take(")"):
             token = self._cursor.token
-            raise self._cursor.error(_surplus(token) if token.kind != "end" else "')' expected")
+            if token.kind != "end":
+                raise self._cursor.error(hints.surplus(token))
+            raise self._cursor.error(f"')' expected, which closes the '(' of {self._cursor.place(opened)}")
         return node
 
 
@@ -239,9 +246,9 @@ def _as_formula(cursor: Cursor, node: Node, start: FormulaToken) -> Formula:
     return node
 
 
-def _as_expression(cursor: Cursor, node: Node, start: FormulaToken) -> Expression:
+def _as_expression(cursor: Cursor, node: Node, start: FormulaToken, remedy: str = "") -> Expression:
     if not isinstance(node, Expression):
-        raise cursor.error("a number is needed here, not a condition", start)
+        raise cursor.error(f"a number is needed here, not a condition{remedy}", start)
     return node
 
 
@@ -267,55 +274,33 @@ def _interval(cursor: Cursor) -> Interval:
 def _seconds(cursor: Cursor) -> float:
     if cursor.token.kind != "number":
         raise cursor.error("an interval is [a,b] or [a,inf) with seconds from now: a number of 0 or more expected")
-    return _literal(cursor).value
+    return _literal(cursor, None, "s").value
 
 
-def _literal(cursor: Cursor) -> Number:
-    value = float(cursor.token.text)
+def _literal(cursor: Cursor, known: Collection[str] | None, unit: str = "the unit of its column") -> Number:
+    token = cursor.token
+    value = float(token.text)
     if not math.isfinite(value):  # 1e999 has the form of a number
         raise cursor.error("the number is too large")
     cursor.advance()
+    if reason := hints.unit(token, *cursor.following, known, unit):
+        raise cursor.error(reason)
     return Number(value)
 
 
 def _column(cursor: Cursor, known: Collection[str] | None) -> Column:
-    name, after = cursor.token.text, cursor.after
+    name = cursor.token.text
     is_column = known is not None and name in known
-    if after.text == "(":
-        raise cursor.error(f"unknown function {name!r}; {_meant(name, FORMULA_WORDS)}the only function is abs")
-    # Behind a column comes an operator: what stands before a phrase of its own is one that does not exist.
-    if not is_column and after.kind == "word" and after.text not in _BETWEEN:
-        raise cursor.error(
-            f"there is no operator {name!r}; {_meant(name, _OPERATORS)}there are {', '.join(_OPERATORS)}"
-        )
-    if known is not None and not is_column:
-        near = _meant(name, {*known, *_BEGINNINGS} if cursor.after.text == "[" else known)
-        raise cursor.error(f"unknown column {name!r}; {near}known are {', '.join(known)}")
     cursor.advance()
+    after, further = cursor.following
+    # Behind a column comes an operator: what stands before a phrase of its own is one that does not exist.
+    reason = None
+    if after.text == "(":
+        reason = hints.function(name, further.text, known)
+    elif not is_column and after.kind == "word" and after.text not in hints.BETWEEN:
+        reason = hints.no_operator(name)
+    elif known is not None and not is_column:
+        reason = hints.unknown(name, after, known)
+    if reason:
+        raise cursor.error(reason, cursor.before)
     return Column(name)
-
-
-def _surplus(token: FormulaToken) -> str:
-    """Return why the text cannot continue with `token`."""
-    if token.text in _UNTIL:
-        return "`until` does not chain: put one of the two into parentheses"
-    if token.text in _COMPARATORS:
-        return "comparisons do not chain: write `a <= b and b <= c`"
-    return _unexpected(token)
-
-
-def _unexpected(token: FormulaToken) -> str:
-    if token.text in {",", "[", "]", "inf"}:
-        return "an interval [a,b] or [a,inf) is written right after always, eventually or until"
-    if token.kind == "end":
-        return "the formula is not complete"
-    hint = _meant(token.text, FORMULA_WORDS) if token.kind == "word" and token.text not in FORMULA_WORDS else ""
-    return f"unexpected {token.text!r}{hint and '; ' + hint.strip()}"
-
-
-def _meant(word: str, allowed: Collection[str]) -> str:
-    """Return a question with the nearest of the `allowed` words; empty if none is near."""
-    # As `schemas.errors`, which cannot be imported here: the mathematics takes the values of the schemas alone.
-    small = {each.lower(): each for each in sorted(allowed)}
-    near = difflib.get_close_matches(word.lower(), small, 1)
-    return f"did you mean {small[near[0]]!r}? " if near else ""

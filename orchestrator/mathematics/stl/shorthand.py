@@ -1,12 +1,14 @@
-"""The spelling of other tools: `G[0,30] (x < 1)` as this grammar has it, for messages.
+"""The spelling of other tools and keyboards: `G[0,30] (x < 1)` as this grammar has it, for messages.
 
 The grammar itself has one spelling: a column may be called G, F or U, and a certificate prints its formula as it was
 written.
 """
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Iterator, Mapping
 from typing import NamedTuple
+
+from ....schemas.values import FORMULA_WORDS
 
 __all__ = ["Spelling", "spelled_out"]
 
@@ -23,28 +25,59 @@ _WORDS = {
     "until": "until",
 }
 _SIGNS = {
-    "&&": "and",
-    "&": "and",
-    "\u2227": "and",
-    "||": "or",
-    "|": "or",
-    "\u2228": "or",
-    "->": "implies",
-    "=>": "implies",
-    "\u2192": "implies",
-    "\u21d2": "implies",
-    "!": "not",
-    "~": "not",
-    "\u00ac": "not",
-    "\u25a1": "always",
-    "\u25c7": "eventually",
-    "\u2264": "<=",
-    "\u2265": ">=",
+    "&&": " and ",
+    "&": " and ",
+    "/\\": " and ",
+    "\u2227": " and ",
+    "||": " or ",
+    "|": " or ",
+    "\\/": " or ",
+    "\u2228": " or ",
+    "-->": " implies ",
+    "->": " implies ",
+    "==>": " implies ",
+    "=>": " implies ",
+    "\u2192": " implies ",
+    "\u21d2": " implies ",
+    "!": " not ",
+    "~": " not ",
+    "\u00ac": " not ",
+    "\u25a1": " always ",
+    "\u25c7": " eventually ",
+    "\u2264": " <= ",
+    "\u2265": " >= ",
+    "=<": " <= ",
+    "< =": " <= ",
+    "> =": " >= ",
+    "**": "^",
+    "\u00b2": "^2",
+    "\u00b3": "^3",
+    "\u00b7": "*",
+    "\u00d7": "*",
+    "\u2212": "-",
+    "\u2013": "-",
+    "{": "(",
+    "}": ")",
+    **dict.fromkeys("\u00a0\u2009\u202f", " "),
+    **dict.fromkeys('"`\u2018\u2019\u201c\u201d\u201e', ""),
 }
+_READINGS: tuple[Mapping[str, str], ...] = ({}, {"=>": " >= "})
+"""Signs with two meanings, of which one gives a formula."""
+_NOT_BEFORE = {"!": "(?!=)"}
+_NOT_BEHIND = {"=>": "(?<![<>])"}
+_SIGN = "|".join(
+    _NOT_BEHIND.get(sign, "") + re.escape(sign) + _NOT_BEFORE.get(sign, "")
+    for sign in sorted(_SIGNS, key=len, reverse=True)
+)
+_TIMED = re.compile(rf"\b({'|'.join(_WORDS)}|until_from)_?\s*$")
+_SECONDS = r"\d+(?:\.\d*)?|\.\d+"
 _OTHER = re.compile(
     # A word is an operator only before what it applies to: `G - x` subtracts from a column.
     rf"""\b(?P<word>{"|".join(_WORDS)})(?P<mark>_?)(?=(?P<phrase>\s*[\[(])|\s+\w|\s*[!~\u00ac])
-       |(?P<sign>&&?|\|\|?|->|(?<!<)=>|!(?!=)|[~\u2227\u2228\u2192\u21d2\u00ac\u25a1\u25c7\u2264\u2265])""",
+       |\b(?P<cased>(?i:{"|".join(sorted({*FORMULA_WORDS, "globally", "finally"}))}))\b
+       |(?P<interval>[\[(]\s*(?P<low>{_SECONDS})\s*[,:;]\s*(?P<high>{_SECONDS}|inf)\s*[\])])
+       |(?<!\|)\|(?P<size>[^|<>=\u2264\u2265]+)\|(?!\|)
+       |(?P<sign>{_SIGN})""",
     re.VERBOSE,
 )
 
@@ -57,25 +90,40 @@ class Spelling(NamedTuple):
     length: int
 
 
-def spelled_out(text: str, known: Collection[str] | None) -> Spelling | None:
-    """Return `text` with the words of the grammar in place of those of other tools; None if it has none of those.
+def spelled_out(text: str, known: Collection[str] | None) -> Iterator[Spelling]:
+    """Yield `text` with the words of the grammar in place of others, for each reading; nothing if it has no others.
 
-    The result may be no formula: whether it is one only the parser knows.
+    The results may be no formulas: whether they are only the parser knows.
 
-    >>> spelled_out("G_[0,30] (x < 1 -> F[0,2] !(y > 0))", None)
+    >>> next(spelled_out("G_[0,30] (x < 1 -> F[0,2] !(y > 0))", None))
     Spelling(text='always[0,30] (x < 1 implies eventually[0,2] not (y > 0))', position=0, length=2)
-    >>> spelled_out("always (G < 1 and G - F > 2)", ["G", "F"])
+    >>> [each.text for each in spelled_out("x => 2", None)]
+    ['x implies 2', 'x >= 2']
+    >>> list(spelled_out("always (G < 1 and G - F > 2)", ["G", "F"]))
+    []
 
     """
+    for reading in _READINGS:
+        if all(sign in text for sign in reading) and (spelling := _spelled(text, known or (), reading)):
+            yield spelling
+
+
+def _spelled(text: str, known: Collection[str], reading: Mapping[str, str]) -> Spelling | None:
     places = []
 
     def word(match: re.Match[str]) -> str:
+        found = match[0]
         if match["sign"]:
-            found = f" {_SIGNS[match['sign']]} "
-        elif match["word"] in (known or ()) and not match["phrase"]:
-            found = match[0]
-        else:
-            found = _WORDS[match["word"]]
+            found = {**_SIGNS, **reading}[found]
+        elif match["size"]:
+            found = f"abs({match['size'].strip()})"
+        elif match["interval"]:
+            # `[0,5)` is another interval than that of the grammar, and `f(0,5)` is none.
+            if _TIMED.search(match.string[: match.start()]) and (found[0] == "(" or "," not in found):
+                found = f"[{match['low']},{match['high']}{')' if match['high'] == 'inf' else ']'}"
+        elif found not in known or match["phrase"]:
+            found = _WORDS.get(match["word"] or found, found.lower())
+            found = _WORDS.get(found, found)
         if found != match[0]:
             places.append(match.span())
         return found

@@ -13,9 +13,10 @@ MAX_TOKENS = 1000
 
 Kind = Literal["number", "word", "sign", "end"]
 
+# Names with dots, and signs of units, are words that no formula has: their messages need what stands beside them.
 _TOKEN = re.compile(
     r"""\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)
-          |(?P<word>[A-Za-z_]\w*)
+          |(?P<word>[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*|%|\u00b0)
           |(?P<sign><=|>=|[-+*/^()<>,]|\[|\]))""",
     re.ASCII | re.VERBOSE,
 )
@@ -53,8 +54,8 @@ def tokens(text: str) -> list[FormulaToken]:
 
 
 def _bad_character(character: str) -> str:
-    if character in "=!":
-        return "equality has no robustness: use <=, >=, < or >"
+    if character in "=!\u2260":
+        return "equality has no robustness: use <=, >=, < or >, or abs(a - b) <= 0.1 with your tolerance for a = b"
     if character in "&|":
         return "write `and`, `or`, `implies`"
     return f"unexpected character {character!r}"

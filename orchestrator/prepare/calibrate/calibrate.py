@@ -84,7 +84,7 @@ def calibrate_draft(wish: CalibrationWish, report: Report) -> Calibration:
     draft = load_draft(wish.campaign)
     config = draft.config
     reference = config.system.reference(wish.campaign)
-    spec = as_in_campaign(simulated_spec(reference, f"{source}: system.name"), config)
+    spec = as_in_campaign(simulated_spec(reference, f"{source}: system.name", config.horizon), config)
     (check if draft.clip is None else check_new)(config, spec, source)
     check_sizes(config, source)
     check_effort(wish.rollouts, spec)

@@ -64,6 +64,7 @@ _CHECKS: dict[str, Callable[[Measurements], SystemFinding | None]] = {
     "together": judge_together,
     "batches": batches.judge_batches,
     "seed": repeats.judge_seed,
+    "actions": trajectories.judge_actions,
     "disturbances": disturbances.judge_disturbances,
     "reported": disturbances.judge_reported,
     "random state": repeats.judge_random_state,
@@ -74,8 +75,12 @@ _CHECKS: dict[str, Callable[[Measurements], SystemFinding | None]] = {
     "files": files.judge_files,
     "speed": costs.judge_speed,
 }
-_OF_SOME = {"disturbances", "reported"}
-"""Checks of what a system declares under a key of this name."""
+_OF_SOME: dict[str, Callable[[Measurements], bool]] = {
+    "actions": lambda found: any(each.acts for _, each in found.rolled),
+    "disturbances": lambda found: bool(found.spec.disturbances),
+    "reported": lambda found: bool(found.spec.reported),
+}
+"""Checks of what some systems alone have."""
 _COMPARING = {"together", "seed", "disturbances", "reported", "horizon"}
 """Checks that compare rollouts, and so need repeatable ones."""
 
@@ -84,7 +89,7 @@ def judge(measurements: Measurements) -> tuple[SystemFinding, ...]:
     """Return one finding for each check; a check that nothing was measured for is skipped."""
     found: dict[str, SystemFinding] = {}
     for name, check in _CHECKS.items():
-        if name in _OF_SOME and not getattr(measurements.spec, name):
+        if name in _OF_SOME and not _OF_SOME[name](measurements):
             continue
         finding = check(measurements) or SystemFinding(name, "skipped", "no rollout was measured for it")
         if name in _COMPARING and found["repeatable"].status == "failed":

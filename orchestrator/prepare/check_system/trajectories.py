@@ -161,3 +161,24 @@ def judge_horizon(measurements: Measurements) -> SystemFinding | None:
     same = all(short.beginning_sha256 == long.beginning_sha256 for short, long in pairs)
     agree = "agree in the part that they share" if same else "do not agree: the horizon changes more than the end"
     return passed("horizon", f"trajectories of {horizon:g} s and of half of it {agree}")
+
+
+def judge_actions(measurements: Measurements) -> SystemFinding | None:
+    """Judge what a policy or a controller does: actions outside their limits, or none at all."""
+    acting = [(trial.request, found.acts) for trial, found in measurements.good if found.acts]
+    outside = [(request, acts) for request, acts in acting if acts.outside]
+    if outside:
+        request, acts = outside[0]
+        return warning(
+            "actions",
+            f"{acts.outside}; at {request.words(measurements.spec)} ({len(outside)} of {len(acting)} rollouts)",
+            "scale the actions, or clip them in the policy, as by np.clip(action, low, high): what such an action does "
+            "is up to the environment, of which many clip it and say nothing",
+        )
+    if acting and all(acts.idle for _, acts in acting):
+        return warning(
+            "actions",
+            f"{acting[0][1].idle}, in {len(acting)} of {len(acting)} rollouts",
+            "end the controller with `return [...]`, a number for each actuator, or let it write data.ctrl",
+        )
+    return passed("actions", f"within their limits in {len(acting)} rollouts") if acting else None

@@ -90,7 +90,7 @@ def plan_campaign(config: CampaignConfig, source: Path, workers: int, report: Re
     """
     reference = config.system.reference(source)
     report("system", 0, 1)
-    spec = simulated_spec(reference, f"{source}: {config.system.place}")
+    spec = simulated_spec(reference, f"{source}: {config.system.place}", config.horizon)
     report("system", 1, 1)
     check_new(config, spec, str(source))
     header = Header.new(config, spec, {}, run=NAME)

@@ -107,5 +107,5 @@ def test_a_method_that_does_not_count_it_is_refused(
     method: str, without: tuple[str, ...], added: dict[str, Any]
 ) -> None:
     keys = {key: value for key, value in LIMITED.items() if key not in without}
-    with pytest.raises(CampaignError, match="with a tolerance choose 'rigorous'"):
+    with pytest.raises(CampaignError, match="of a rig with a tolerance choose 'sample' or"):
         pb.Campaign(TOLERANT, **keys, **added, method=method)

@@ -224,3 +224,9 @@ def test_a_rollout_says_where_the_tolerance_could_decide_its_sign(formula: str, 
     times[3] += moved
     samples = np.column_stack((times, AT_A_BORDER, AT_A_BORDER))
     assert evaluated(parse_formula(formula, NAMES), NAMES, samples).by_tolerance is decided
+
+
+def test_a_rollout_that_lasts_needs_a_horizon() -> None:
+    found = uncovered(np.array([0.0, 1.0]), 0.0)
+    assert found is not None
+    assert "the last row, 1, is at t = 1 s, and the horizon is 0 s: give the campaign horizon = 1" in found

@@ -247,6 +247,21 @@ def test_the_place_of_a_fault_in_a_campaign_file_is_named_once(folder: Path) -> 
 
 
 @pytest.mark.integration
+@pytest.mark.parametrize("given", [None, 0.05])
+def test_a_horizon_below_one_step_is_refused_when_the_system_is_read(folder: Path, given: float | None) -> None:
+    """It was refused by the first rollout, with a directory of the run."""
+    code = "import perfbound as pb\n\n@pb.system(parameters={'x': pb.Parameter(0, 1)}, columns={'y': 'm'}, step=0.1)\n"
+    (folder / "steps.py").write_text(f"{code}def steps(x, *, horizon):\n    return [x]\n")
+    of_system = 'python = "steps.py:steps"'
+    program = 'program = ["./waits.sh"]\ncolumns = { y = "m" }'
+    (folder / "steps.toml").write_text("horizon = 0.05\n" + PROGRAM.replace(program, of_system))
+    with pytest.raises(CampaignError) as refused:
+        system_spec("steps.toml" if given is None else "steps.py:steps", "steps.toml: system.python", given)
+    assert says(str(refused.value), "^steps.toml: horizon: 0.05 s one step 0.1 s give")
+    assert system_spec("steps.py:steps", "SYSTEM", 0.1).name == "steps"
+
+
+@pytest.mark.integration
 def test_another_build_is_named_by_what_differs(folder: Path) -> None:
     spec, request, _ = WantedRollout("waits.toml", "0.5", "nominal", 7, None, ()).request()
     (folder / "waits.sh").write_text("#!/bin/sh\n")

@@ -113,6 +113,21 @@ class TestParser:
             ("always_[0,3] (alw_[0,1] x < 1)", 0, "always[0,3] (always[0,1] x < 1)"),
             ("G (x < 1 -> F[0,2] !(y > 0))", 0, "always (x < 1 implies eventually[0,2] not (y > 0))"),
             ("\u25a1[0,2] (x \u2264 1 \u2227 y < 1 || x > 2)", 0, "always [0,2] (x <= 1 and y < 1 or x > 2)"),
+            ("x => 1", 2, "x >= 1"),
+            ("always (x => 1 and y =< 2)", 10, "always (x >= 1 and y <= 2)"),
+            ("x < 1 => y < 1", 6, "x < 1 implies y < 1"),
+            ("x > = 1", 2, "x >= 1"),
+            ("ALWAYS (x < 1 AND Not (y > 1))", 0, "always (x < 1 and not (y > 1))"),
+            ("Eventually[0,2] x < 1 Or y < 1", 0, "eventually[0,2] x < 1 or y < 1"),
+            ("x < 1 --> y < 1", 6, "x < 1 implies y < 1"),
+            ("\u201calways (x < 1)\u201d", 0, "always (x < 1)"),
+            ("always\u00a0(x < 1)", 6, "always (x < 1)"),
+            ("x \u2212 1 < 2 \u00b7 y", 2, "x - 1 < 2 * y"),
+            ("x**2 + y\u00b2 < 1", 1, "x^2 + y^2 < 1"),
+            ("always (|x| < 1)", 8, "always (abs(x) < 1)"),
+            ("always {x < 1}", 7, "always (x < 1)"),
+            ("always(0,5) x < 1", 6, "always[0,5] x < 1"),
+            ("always[0:5] x < 1", 6, "always[0,5] x < 1"),
         ],
     )
     def test_the_spelling_of_other_tools_is_answered_by_this_one(self, text: str, position: int, spelling: str) -> None:
@@ -151,7 +166,7 @@ class TestParser:
             ("always (xx <= 1)", 8, "unknown column 'xx'; did you mean 'x'\\? known are t, x, y"),
             ("allways (x <= 1)", 0, "unknown function 'allways'; did you mean 'always'\\? the only function is abs"),
             ("alwyas[0,5] x <= 1", 0, "unknown column 'alwyas'; did you mean 'always'\\?"),
-            ("x <= 1 AND y <= 1", 7, "unexpected 'AND'; did you mean 'and'\\?"),
+            ("x <= 1 adn y <= 1", 7, "unexpected 'adn'; did you mean 'and'\\?"),
             ("x <= 1 # y", 7, "unexpected character '#'"),
             ("always[0 5] x <= 1", 9, "',' expected"),
             ("always[-1,5] x <= 1", 7, "a number of 0 or more"),
@@ -160,7 +175,7 @@ class TestParser:
             ("always[5,2] x <= 1", 9, "needs a <= b"),
             ("always[0,5) x <= 1", 10, "includes both ends"),
             ("always[0,inf] x <= 1", 12, "without end is written"),
-            ("always(0,5) x <= 1", 8, "written right after always"),
+            ("abs(0,x) <= 1", 5, "written right after always"),
             ("x <= 1 and[0,5] y <= 1", 10, "written right after always"),
             ("x <= inf", 5, "written right after always"),
             ("until", 0, "unexpected 'until'"),
@@ -168,7 +183,28 @@ class TestParser:
             ("abs x <= 1", 4, r"'\(' expected"),
             ("x <= 1 and zz <= 1", 11, "unknown column 'zz'; known are t, x, y"),
             ("x <= 1e999", 5, "too large"),
-            ("x <= 2y", 6, "unexpected 'y'"),
+            ("x <= 2y", 6, r"unexpected 'y'; write `2 \* y`"),
+            ("x < 1 y < 1", 6, r"unexpected 'y'; write `1 \* y`, or `and`"),
+            ("always (x < 2 m)", 14, "unexpected 'm'; write 2 alone, in the unit of its column :"),
+            ("always (x < 2m/s)", 13, "unexpected 'm'; write 2 alone"),
+            ("x < 2 [m]", 6, "unexpected 'm'; write 2 alone"),
+            ("x < 5 deg", 6, "write 5 alone, in the unit of its column; in rad it is 0.0872665"),
+            ("x < 5\u00b0", 5, "write 5 alone, in the unit of its column; in rad it is 0.0872665"),
+            ("x < 10%", 6, "unexpected '%'; write 10 alone, .*; as a share it is 0.1"),
+            ("always[0,5 s] x < 1", 11, "unexpected 's'; write 5 alone, in s :"),
+            ("G (x < 2 m)", 0, r"write `always \(x < 2 m\)`; there: unexpected 'm'; write 2 alone"),
+            ("x < 1 and F - x < 1", 10, "unknown column 'F'"),
+            ("x => 2 m", 2, "write `x >= 2 m`; there: unexpected 'm'"),
+            ("x < 1,5", 4, "write 1.5 with a point"),
+            ("x[0] < 1", 1, "a column has no index"),
+            ("abs(x < 1)", 0, r"close abs\( \) before the comparison"),
+            ("x = 1", 2, r"use .* or abs\(a - b\) <= 0.1 with your tolerance"),
+            ("x \u2260 1", 2, "equality"),
+            ("max(x, y) < 1", 0, "write `f < c and g < c`"),
+            ("sqrt(x) < 1", 0, r"write \(f\)\^0.5"),
+            ("norm(x) < 1", 0, "unknown function 'norm'; the only function is abs"),
+            ("((x < 1)", 8, r"'\)' expected, which closes the '\(' of character 1 :"),
+            ("x < 1)", 5, r"no '\(' before it is open"),
             ("x <= 1 and\n  (y <= 2", 20, r"'\)' expected"),
             ("(" * 60 + "x", 41, "levels of nesting"),
             ("not " * 60 + "x <= 1", 164, "levels of nesting"),
@@ -181,6 +217,22 @@ class TestParser:
         assert caught.value.position == position
         assert caught.value.reason in str(caught.value)
         assert len(str(caught.value).splitlines()) == 1
+
+    @pytest.mark.parametrize(
+        ("name", "near"),
+        [
+            ("Tank.level", "did you mean 'tank_level'\\? known"),
+            ("plant.Tank.level", "did you mean 'tank_level'\\? known"),
+            ("Inner.flow", "did you mean 'pump_inner_flow'\\? known"),
+            ("Pump.speed", "write _; known"),  # two columns end with it
+            ("der(h)", "did you mean 'der_h'\\?"),
+        ],
+    )
+    def test_a_name_of_an_fmu_is_answered_by_that_of_its_column(self, name: str, near: str) -> None:
+        known = ("t", "tank_level", "pump_inner_flow", "a_speed", "b_speed", "der_h")
+        with pytest.raises(FormulaError, match=near) as caught:
+            parse_formula(f"always ({name} <= 1)", known)
+        assert caught.value.position == 8
 
     @pytest.mark.parametrize(
         ("text", "line"),

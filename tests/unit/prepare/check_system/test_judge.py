@@ -25,7 +25,7 @@ from perfbound.schemas.errors import SimulationError
 from perfbound.schemas.file.disturbance import Normal
 from perfbound.schemas.file.space import Range, Scenarios
 from perfbound.schemas.system import Column, Parameter, SystemSpec
-from perfbound.schemas.system_check import ChildRun, Measured, SampleTimes, Trial
+from perfbound.schemas.system_check import Acts, ChildRun, Measured, SampleTimes, Trial
 from perfbound.schemas.trajectory.trajectory import Trajectory
 from perfbound.workers.systems.function import as_trajectory
 from tests.facts import says
@@ -83,7 +83,8 @@ def others(found: dict[str, SystemFinding]) -> dict[str, str]:
 
 def test_a_sound_system_passes_every_check() -> None:
     found = findings()
-    assert list(found) == [name for name in SYSTEM_CHECKS if name != "disturbances"], "it declares none"
+    without = {"disturbances", "reported", "actions"}
+    assert list(found) == [name for name in SYSTEM_CHECKS if name not in without], "it declares none, and has no policy"
     assert others(found) == {}
     assert not any(each.remedy for each in found.values())
     assert says(found["speed"].detail, "^10 ms rollout 4 kB file 100 rollouts/s 1 worker")
@@ -530,3 +531,30 @@ def test_an_input_over_time_has_rollouts_of_one_horizon() -> None:
     trials = Trials.of(spec, {}, variants=("nominal",), horizon=10.0, seed=3)
     assert {trial.request.horizon for trial in trials.first(0.01)} == {10.0}
     assert {len(trial.request.x) for trial in trials.first(0.01)} == {10}
+
+
+@pytest.mark.parametrize(
+    ("acts", "status", "words"),
+    [
+        (lambda _: Acts(), "passed", "within their limits"),
+        (
+            lambda k: Acts(outside="policy.py returned 17, outside [-2, 2]" if k == 3 else ""),
+            "warning",
+            "policy.py returned 17 outside [-2, 2] at x = of rollouts np.clip",
+        ),
+        (lambda _: Acts(idle="control.py returned None"), "warning", "control.py returned None return data.ctrl"),
+        # One that acts in some rollouts alone has a reason.
+        (lambda k: Acts(idle="control.py returned None" if k else ""), "passed", "within their limits"),
+    ],
+)
+def test_what_a_policy_does_is_a_finding(acts: Callable[[int], Acts], status: str, words: str) -> None:
+    found = findings(lambda _process, place, _trial: {"acts": acts(place)})["actions"]
+    assert found.status == status
+    assert says(f"{found.detail} {found.remedy}", words)
+
+
+def test_numbers_that_rollouts_report_have_a_finding_with_its_meaning() -> None:
+    spec = SPEC.model_copy(update={"noisy": ("true",), "reported": (Normal(0, 2).named("y", "m"),)})
+    measured = evidence(lambda _process, place, _trial: {"reported": (0.1 * (place % 7),)})
+    found = {each.check: each for each in judge(replace(measured, spec=spec))}
+    assert found["reported"].meaning

@@ -12,6 +12,7 @@ import pytest
 
 from perfbound.schemas.errors import CampaignError, DefinitionError, SimulationError
 from perfbound.schemas.file.reader import parse_campaign
+from perfbound.schemas.system_check import Acts
 from perfbound.workers.systems.base import SystemUnderTest
 from perfbound.workers.systems.environment import load_environment
 from perfbound.workers.systems.policy import load_policy
@@ -342,3 +343,28 @@ def test_a_model_of_another_algorithm_is_refused_by_name(tmp_path: Path, monkeyp
     monkeypatch.setitem(sys.modules, "torch", SimpleNamespace(set_num_threads=lambda _: None))
     with pytest.raises(DefinitionError, match=r"model.zip: it cannot be loaded as a model of SAC .*name the algorithm"):
         load_policy("model.zip:SAC", tmp_path)
+
+
+def test_an_action_beyond_the_limits_is_reported_to_the_check(environment: Make) -> None:
+    acts = "import numpy as np\ndef act(observation):\n    return np.array([FORCE], dtype=np.float32)\n"
+    wild = environment("Pendulum-v1", "g = [9, 10]", policy=acts.replace("FORCE", "17"))
+    rolled(wild, 9.5)
+    found = wild.acted()
+    assert found is not None
+    assert "policy.py returned array([17.], dtype=float32), outside Box(-2.0, 2.0, (1,), float32)" in found.outside
+    # Not beyond those in float32, and what one rollout did is not said of the next one.
+    limits = acts.replace("dtype=np.float32", "").replace("FORCE", "2 * (observation[0] < 9) ")
+    calm = environment("Pendulum-v1", "g = [9, 10]", policy=limits)
+    rolled(calm, 9.5)
+    assert calm.acted() == Acts()
+    discrete = environment("CartPole-v1", "length = [0.4, 0.6]")
+    rolled(discrete, 0.5, horizon=0.2)
+    assert discrete.acted() == Acts()
+
+
+def test_a_package_that_is_not_installed_is_named_with_the_command(
+    environment: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "gymnasium", None)
+    with pytest.raises(DefinitionError, match=r"gymnasium is not installed; pip install 'perfbound\[gymnasium\]'$"):
+        environment("CartPole-v1", "length = [0.4, 0.6]")

@@ -173,6 +173,7 @@ def test_a_replaced_unit_is_refused_by_its_name(tank: Make, tmp_path: Path) -> N
     [
         ("", LEVEL, "system.step: Tank.fmu does not say how often"),
         ("step = 20", LEVEL, "horizon: 10 s is less than one step"),
+        ("step = 3", LEVEL, "horizon: of steps of 3 s the last one before 10 s ends at 9 s; give horizon = 9"),
         ("step = 0.1", "tank_lvel0 = [0, 1]", "did you mean 'tank_level0'.*no variable 'tank_lvel0'"),
         ("step = 0.1", "tank_level = [0, 1]", r"Tank\.level is calculated by Tank\.fmu, and no start value"),
         ("step = 0.1", "tank_level0 = { low = 0, high = 1, unit = 'cm' }", "is in m, says the FMU, and not in cm"),

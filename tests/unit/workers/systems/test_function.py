@@ -388,7 +388,12 @@ def test_modules_with_names_of_ours_harm_nothing(folder: Path) -> None:
     [
         (None, "cars", "there is no such Python file"),
         ("def cars(:", "cars", "cars.py line 1:"),
-        ("import nowhere_at_all", "cars", "cars.py line 1: ModuleNotFoundError: 'nowhere_at_all'"),
+        ("import nowhere_at_all", "cars", "cars.py line 1: ModuleNotFoundError: 'nowhere_at_all' pip"),
+        (
+            "raise ModuleNotFoundError('none', name='mujoco.viewer')",
+            "cars",
+            "cars.py line 1: ModuleNotFoundError: pip install 'perfbound[mujoco]'",
+        ),
         ("\nraise SystemExit(3)", "cars", "cars.py line 2: SystemExit: 3"),
         ("\nraise BaseException('panic')", "cars", "cars.py line 2: BaseException: panic"),
         (CARS.format(more=""), "bikes", "there is no 'bikes' in it"),

@@ -1,5 +1,6 @@
 """Models for MuJoCo as systems: their names and units, what a rollout is, and what is refused."""
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import pytest
 
 from perfbound.schemas.errors import DefinitionError, ReplacedError, SimulationError
 from perfbound.schemas.file.reader import parse_campaign
+from perfbound.schemas.system_check import Acts
 from perfbound.schemas.trajectory.input_signal import InputSignal
 from perfbound.workers.systems.base import SystemUnderTest
 from perfbound.workers.systems.mjcf import load_mjcf
@@ -271,3 +273,38 @@ def test_models_that_cannot_be_read_are_refused_with_the_reason(pendulum: Make, 
     (tmp_path / "pendulum.xml").unlink()
     with pytest.raises(DefinitionError, match=r"system.mjcf: pendulum\.xml: there is no such file"):
         load_mjcf(tmp_path / "c.toml", _parsed(CAMPAIGN))
+
+
+@pytest.mark.parametrize(
+    ("control", "idle"),
+    [
+        (BALANCE.replace("return [", "force = ["), True),
+        (BALANCE.replace("return [", "data.ctrl[:] = ["), False),
+        (BALANCE.replace("return [-12 * data.qpos[0] - 2 * data.qvel[0]]", "data.qfrc_applied[0] = -1"), False),
+        (BALANCE, False),
+        (BALANCE.replace("-12 * data.qpos[0] - 2 * data.qvel[0]", "0"), False),
+    ],
+)
+def test_a_controller_that_sets_nothing_is_reported_to_the_check(pendulum: Make, control: str, idle: bool) -> None:
+    system = pendulum(CONTROLLED, control=control)
+    rolled(system, 0.2, 0.1, horizon=0.1)
+    found = system.acted()
+    assert found is not None
+    assert found.idle == ("control.py returned None at every step, and set none of the 1 actuators" if idle else "")
+    assert pendulum().acted() is None
+
+
+def test_a_model_without_actuators_needs_none_to_be_set(pendulum: Make) -> None:
+    motor = '<actuator><motor name="Motor" joint="hinge" ctrlrange="-3 3"/></actuator>'
+    model = MODEL.replace(motor, "").replace('<actuatorfrc name="torque" actuator="Motor"/>', "")
+    system = pendulum(CONTROLLED, control="def balance(model, data):\n    pass\n", model=model)
+    rolled(system, 0.2, 0.1, horizon=0.1)
+    assert system.acted() == Acts()
+
+
+def test_a_package_that_is_not_installed_is_named_with_the_command(
+    pendulum: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(DefinitionError, match=r"mujoco is not installed; pip install 'perfbound\[mujoco\]'$"):
+        pendulum()

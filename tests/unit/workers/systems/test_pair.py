@@ -107,6 +107,15 @@ def test_a_worker_with_one_of_them_announces_it(pair: Make) -> None:
     ).samples.tolist() == [[0.0, 2.5], [0.5, 4.0]]
 
 
+@pytest.mark.parametrize(
+    ("step", "words"), [("0.4", "steps of 0.4 s the last one before 1 s ends at 0.8 s"), ("2", "less than one step")]
+)
+def test_a_step_that_does_not_cover_the_horizon_is_refused_with_its_variant(pair: Make, step: str, words: str) -> None:
+    both = pair(plant=PLANT.replace("step=0.25", f"step={step}"))
+    with pytest.raises(UnknownSystemError, match=f"^true: horizon: .*{words}"):
+        _ = both.spec
+
+
 def test_an_option_and_a_file_are_part_of_the_identity(pair: Make) -> None:
     before = pair().spec
     other = pair(CAMPAIGN.replace("slope = 1.5", "slope = 1.6")).spec

@@ -66,9 +66,12 @@ def program(tmp_path: Path) -> Iterator[Callable[..., ProgramSystem]]:
     """Make a system of the body of a loop over lines, in Python; its process ends with the test."""
     made: list[ProgramSystem] = []
 
-    def make(body: str, keys: str = "", *, source: str = STAYS, command: list[str] | None = None) -> ProgramSystem:
+    def make(
+        body: str, keys: str = "", *, source: str = STAYS, command: list[str] | None = None, horizon: str = ""
+    ) -> ProgramSystem:
         (tmp_path / "sim.py").write_text(source.replace("BODY", body))
         text = CAMPAIGN.replace("PROGRAM", json.dumps(command or [sys.executable, "sim.py"])).replace("KEYS", keys)
+        text = horizon + text
         made.append(load_program(tmp_path / "p.toml", parse_campaign(text.encode(), "p.toml")))
         return made[-1]
 
@@ -422,6 +425,19 @@ def test_lines_that_are_no_samples_are_named_in_words_of_perfbound(tmp_path: Pat
         read_samples(tmp_path / "a.csv", "csv", ("t", "y"))
     assert words in str(error.value)
     assert "usecols" not in str(error.value)
+
+
+def test_samples_without_a_time_need_a_step(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("0.5\n0.6\n")
+    with pytest.raises(SimulationError, match=r"time of each sample first, or give its `step` in \[system\]"):
+        read_samples(tmp_path / "a.csv", "csv", ("t", "y"))
+
+
+def test_a_horizon_below_the_step_is_refused(program: Callable[..., ProgramSystem]) -> None:
+    keys = "step = 0.5\n"
+    with pytest.raises(DefinitionError, match=facts("horizon: 0.2 s one step 0.5 s")):
+        program(WRITES, keys, horizon="horizon = 0.2\n")
+    assert program(WRITES, keys, horizon="horizon = 0.5\n").spec.timed
 
 
 def test_exponents_of_fortran_are_numbers(tmp_path: Path) -> None:
