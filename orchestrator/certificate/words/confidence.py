@@ -65,7 +65,7 @@ def anyway(verdict: CampaignVerdict, predicate: Predicate) -> str:
     if verdict.verdict == "VIOLATED" or is_irreproducible(predicate.claims[0]):
         return ""
     unit = "" if verdict.unit == "1" else one_line(verdict.unit)
-    return _of_fresh_starts(most, unit) if most else ""
+    return _of_fresh_starts(most, unit, listed=predicate.claims[0].starts is not None) if most else ""
 
 
 def _with_other_constants(predicate: Predicate, unit: str, required: float | None) -> Iterator[str]:
@@ -121,10 +121,11 @@ def rests_on(predicate: Predicate, config: CampaignConfig, required: float | Non
     return " and ".join(found)
 
 
-def _of_fresh_starts(found: MostStarts, unit: str) -> str:
+def _of_fresh_starts(found: MostStarts, unit: str, *, listed: bool = False) -> str:
     bound = f"{outward(found.bound, '>=')} {unit}".rstrip()
     share, probability = f"{100 * found.share:g} %", outward(found.probability, ">=")
+    starts = "whole ranges, listed or not" if listed else "starts"
     return (
         f"Without B and the kernel, by fresh starts alone: {margin_at_most_starts(found)} at least {bound} from all "
-        f"but {share} of the starts, with probability at least {probability}. Of those {share} it says nothing."
+        f"but {share} of the {starts}, with probability at least {probability}. Of those {share} it says nothing."
     )
