@@ -9,7 +9,7 @@ import math
 import shlex
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -29,6 +29,8 @@ PATIENCE = 10.0
 """Seconds after which the campaign begins without the end of such a rollout, whose deadline may be an hour."""
 NOTICE = 1.0
 """Seconds after which a line says what the command waits for."""
+ATTEMPTS = 2
+"""As in a campaign, where a rollout may fail once: a crash need not be a fault of the simulator."""
 TOGETHER = 2
 """Rollouts of the batch of a vectorised system: with one, an axis that is missing or turned need not show."""
 GROUP, OURS = "perfbound.systems", "perfbound"
@@ -55,21 +57,36 @@ def check_first_rollouts(header: Header, reference: str, where: str, print_line:
     spec, limit = header.spec, min(header.config.deadline, PATIENCE)
     requests, columns = first_requests(header, plans(header.config, spec)), tuple(each.name for each in spec.columns)
     system = ChildSystem(reference, spec, limit, seconds=math.inf)
-    try:
-        with tempfile.TemporaryDirectory(prefix="perfbound-first-") as name:
-            simulate_in_child(system, requests, Path(name), _notice(spec.name, print_line))
-            for number, request in enumerate(requests):
-                payload = file_of(Path(name), number).read_bytes()
-                try:
-                    admit_either(request, columns, payload, hashlib.sha256(payload).hexdigest())
-                except EvidenceError as fault:
-                    raise ChildRolloutError(f"{alone(request).words(spec)}: {fault}") from None
-    except SlowRolloutError as fault:
-        if limit == header.config.deadline:
-            raise _refusal(fault, system, where, "let it end, or give a longer `deadline`") from None
-        print_line(f"the first rollout of {spec.name} has not ended within {limit:g} s; it is left to the workers")
-    except ChildRolloutError as fault:
-        raise _refusal(fault, system, where) from None
+    notice = _notice(spec.name, print_line)
+    for attempt in range(ATTEMPTS):
+        try:
+            _simulate(system, requests, columns, notice)
+        except SlowRolloutError as fault:
+            if limit == header.config.deadline:
+                raise _refusal(fault, system, where, "let it end, or give a longer `deadline`") from None
+            print_line(f"the first rollout of {spec.name} has not ended within {limit:g} s; it is left to the workers")
+            return
+        except ChildRolloutError as fault:
+            if attempt + 1 == ATTEMPTS:
+                raise _refusal(fault, system, where) from None
+        else:
+            return
+
+
+def _simulate(
+    system: ChildSystem,
+    requests: Sequence[RolloutRequest | BatchRequest],
+    columns: tuple[str, ...],
+    notice: Callable[[int], None],
+) -> None:
+    with tempfile.TemporaryDirectory(prefix="perfbound-first-") as name:
+        simulate_in_child(system, requests, Path(name), notice)
+        for number, request in enumerate(requests):
+            payload = file_of(Path(name), number).read_bytes()
+            try:
+                admit_either(request, columns, payload, hashlib.sha256(payload).hexdigest())
+            except EvidenceError as fault:
+                raise ChildRolloutError(f"{alone(request).words(system.spec)}: {fault}") from None
 
 
 def first_requests(header: Header, found: Plans) -> list[RolloutRequest | BatchRequest]:

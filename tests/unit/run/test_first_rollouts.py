@@ -134,3 +134,16 @@ def test_systems_that_come_with_perfbound_are_not_tried() -> None:
     assert is_somebodys_own("cars.py:cars")
     assert is_somebodys_own("pendulum.toml")
     assert is_somebodys_own("my-robot")
+
+
+def test_one_that_fails_once_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    tries: list[Path] = []
+
+    def flaky(system: ChildSystem, requests: Requests, folder: Path, done: Callable[[int], None]) -> None:
+        tries.append(folder)
+        if len(tries) == 1:
+            raise ChildRolloutError("x = 1, seed 2: the process of the system crashed")
+        simulated(system, requests, folder, done)
+
+    assert checked(monkeypatch, flaky) == []
+    assert len(set(tries)) == 2, "each in a folder of its own"

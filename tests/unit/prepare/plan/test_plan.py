@@ -7,7 +7,7 @@ import pytest
 
 from perfbound.orchestrator.campaign.checks import method_sizes
 from perfbound.orchestrator.campaign.plan import plans
-from perfbound.orchestrator.prepare.child_rollouts import ChildRolloutError
+from perfbound.orchestrator.fleet.children.rollouts import ChildRolloutError
 from perfbound.orchestrator.prepare.plan import plan
 from perfbound.orchestrator.prepare.plan.fleet_need import NOTHING
 from perfbound.orchestrator.prepare.plan.rehearsal import PilotRollouts
