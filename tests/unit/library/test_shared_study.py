@@ -278,7 +278,7 @@ def test_what_is_no_real_number_is_refused(study: Study, data: object, words: st
     with pytest.raises(PerfboundError) as error:
         study.tell(request, data)
     assert str(error.value).startswith(f"{request.id}: ")
-    assert words in str(error.value)
+    assert says(str(error.value), words), "between them shape and type of an array"
     assert "\n" not in str(error.value)
     assert study.ask() == request
 
