@@ -163,10 +163,18 @@ def _uncovered(stamps: bytes, horizon: float) -> str | None:
     if ends_early(times, horizon):
         return (
             f"the last row, {row}, is at t = {there} s, and the horizon is {end} s, before which it may be by "
-            f"{_allowed(times, horizon):.3g} s: simulate to the horizon, or declare what an early end means: after_end "
+            f"{_allowed(times, horizon):.3g} s: simulate to the horizon{_one_more(times, horizon)}, or "
+            "declare what an early end means: after_end "
             '= "hold" (the last state stays) or "fail" (it violates the specification)' + _other_step(times, horizon)
         )
     return None
+
+
+def _one_more(times: Floats, horizon: float) -> str:
+    """Return that the sample at the horizon alone is missing, if so: int(horizon / step) of them are one too few."""
+    steps = np.append(np.diff(times), horizon - times[-1])
+    one = len(steps) > 1 and float(np.ptp(steps)) <= SHARE * float(steps.min())
+    return ", with one sample more: round(horizon / step) + 1" if one else ""
 
 
 def _other_step(times: Floats, horizon: float) -> str:

@@ -253,14 +253,23 @@ def _option_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
     for name, value in config.system.options.items():
         option = known.get(name)
         if option is None:
-            allowed = ", ".join(["name", *known])
-            faults.append(f"system.{name}: unknown key; {meant(name, known)}allowed for {spec.name} are {allowed}")
+            faults.append(f"system.{name}: {_unknown_option(name, spec)}")
         elif option.choices:
             if value not in option.choices:
                 faults.append(f"system.{name}: {value!r} is not allowed: choose from {', '.join(option.choices)}")
         elif not isinstance(value, int | float) or not _in_limits(value, option.low, option.high):
             faults.append(f"system.{name}: {value!r} is not allowed: allowed is {option.allowed_numbers}")
     return faults
+
+
+def _unknown_option(name: str, spec: SystemSpec) -> str:
+    """Return why a key of `[system]` is no option of its system, and what to do."""
+    if name in CampaignConfig.model_fields:
+        return f"put the key `{name}` of the campaign above the first [table]"
+    known = [option.name for option in spec.options]
+    if not known:
+        return f"unknown key; {spec.name} has no options, which a function takes as keywords with a default"
+    return f"unknown key; {meant(name, known)}allowed for {spec.name} are {', '.join(['name', *known])}"
 
 
 def _in_limits(value: float, low: float | None, high: float | None) -> bool:

@@ -123,8 +123,18 @@ def _check_required_side(config: CampaignKeys) -> None:
         key, side, instead, given = "required_at_most", "below", "required_margin", config.required_at_most is not None
     else:
         key, side, instead, given = "required_margin", "above", "required_at_most", config.required_margin != 0
+        _check_probability(config)
     if given:
         raise ValueError(f"{key}: the first claim is a bound from {side}; remove this key, or give {instead}")
+
+
+def _check_probability(config: CampaignKeys) -> None:
+    """Refuse a probability that every system keeps, or none: one in percent, mostly."""
+    most, claims = config.required_at_most, [claim for each in config.problems for claim in config.claims_of(each)]
+    if most is None or 0.0 < most < 1.0 or not claims or claims[0].asked.quantity != "failure_probability":
+        return
+    percent = f"; {most:g} % is {most / 100:g}" if 1.0 <= most < 100.0 else ""
+    raise ValueError(f"required_at_most: {most:g} is no probability between 0 and 1{percent}")
 
 
 def _first_sense(config: CampaignKeys) -> Sense:

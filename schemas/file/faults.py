@@ -33,6 +33,11 @@ _LENGTHS = "a number > 0, or one per parameter: { name = number, ... }"
 _WORDS = {
     ("name",): "1 to 64 of a-z, 0-9, '-' and '_', the first a letter or digit",
     ("clip",): "[low, high], two numbers",
+    ("falsify",): "a table, and falsify = {} takes every default",
+    ("claims",): 'a list of tables: [{ quantity = "failure_probability" }]',
+    ("claims", "drawn"): 'a table: { quantity = "failure_probability" }',
+    ("system",): 'a table with one system, as [system] and below it python = "FILE.py:NAME"',
+    ("system", "logs"): 'a table, [system.logs], as { columns = { speed = "Speed (km/h)" } }',
     ("space",): "a table with one entry per parameter: name = [low, high]",
     ("problems",): "a list of tables, each under [[problems]]",
     ("problems", "paper", "regulariser"): "'1+eta' or a number > 0",
@@ -59,6 +64,8 @@ _WORDS = {
     ("system", "limits"): "a table: { memory = 4, cpu = 60 }",
 }
 """Allowed values in words, where those of the schema and of pydantic are no help."""
+_OTHERWISE = {"min": "low", "max": "high", "lower": "low", "upper": "high", "std": "sd"}
+"""Keys by the names that others give them."""
 _RANGE = 'the ends of its range, [0, 5], or a table: { low = 0, high = 5, unit = "m" }'
 LISTS = {"scenarios": MAX_SCENARIOS, "table": MAX_TABLE}
 """Keys of `[space]` whose starts may be in a CSV file, and the most rows."""
@@ -97,7 +104,10 @@ def faults(error: ValidationError, table: dict[str, Any], one_problem: bool) -> 
         key, missing = _key(fault["loc"], table, one_problem), fault["type"] == "missing"
         if fault["type"] == "extra_forbidden":
             wrong = str(place[-1])
-            misspelt.add(key.removesuffix(wrong) + nearest_name(wrong, _keys_at(fault["loc"], one_problem)))
+            misspelt.add(
+                key.removesuffix(wrong)
+                + nearest_name(_OTHERWISE.get(wrong, wrong), _keys_at(fault["loc"], one_problem))
+            )
         # A misspelt key has a second fault: the key that it was meant to be is missing.
         again = missing and key in misspelt
         # Length scales that follow from the ranges need those to be right.
@@ -166,6 +176,8 @@ def _describe(fault: Any, key: str, one_problem: bool) -> str:
     if kind == "extra_forbidden" and listed in LISTS:
         return f"{key}: not allowed beside space.{listed}, which has all parameters; remove one of the two"
     if kind == "extra_forbidden":
+        if location[0] == "space" and len(location) == 3 and isinstance(fault["input"], list | dict):  # dots of an FMU
+            return f"{key}: a name has no dot here; write {'_'.join(map(str, location[1:])).lower()}"
         return f"{key}: {_unknown(location, _keys_at(fault['loc'], one_problem))}"
     if kind == "json_invalid":
         return f"not a value that JSON can represent: {message}"
@@ -205,7 +217,7 @@ def _unknown(location: Location, allowed: Sequence[str]) -> str:
         )
     if len(location) == 1 and name in OF_PROBLEM:
         return "belongs to a problem; move it below its [[problems]]"
-    return f"unknown key; {meant(name, allowed)}allowed are {', '.join(allowed)}"
+    return f"unknown key; {meant(_OTHERWISE.get(name, name), allowed)}allowed are {', '.join(allowed)}"
 
 
 def _allowed(location: Location) -> str:

@@ -120,7 +120,8 @@ def campaign_table(data: bytes, source: str, beside: Beside | None = None) -> di
     except UnicodeDecodeError as error:
         raise CampaignError(f"{source}: not UTF-8 (byte {error.start}); save the file as UTF-8") from None
     except (ValueError, RecursionError) as error:  # also integers of thousands of digits, and lists without end
-        raise CampaignError(f"{source}: not TOML: {str(error).partition(';')[0]}") from None
+        hint = _syntax_hint(data.decode("utf-8-sig"), str(error))
+        raise CampaignError(f"{source}: not TOML: {str(error).partition(';')[0]}{hint}") from None
     if not table:
         raise CampaignError(f"{source}: the file is empty; see deploy/campaigns for examples")
     if dates:
@@ -210,3 +211,21 @@ def differences(one: CampaignConfig, other: CampaignConfig) -> list[str]:
     a, b = (dict(_leaves(each.model_dump(mode="json"), "")) for each in (one, other))
     keys = [key for key in a | b if a.get(key) != b.get(key)]
     return [f"{key} is {a.get(key, 'absent')!r} and {b.get(key, 'absent')!r}" for key in keys]
+
+
+_SLIPS = (
+    (re.compile("[\u201c\u201d\u2018\u2019]"), 'use straight quotes, "'),
+    (re.compile(r'=.*".*\\'), "write a path with /, or in '...'"),
+    (re.compile(r"^\s*[\w.-]+\s*:"), "write KEY = VALUE"),
+    (re.compile(r"=\s*-?\d+,\d"), "write a number with a point, as 1.5"),
+    (re.compile(r"=\s*-?[\d.]+\s*[A-Za-z%]"), "write a number without its unit"),
+    (re.compile(r"=\s*(?!(true|false|inf|nan)\b)[A-Za-z./]"), 'put text in quotes, KEY = "TEXT"'),
+)
+"""What is often wrong in a line that is no TOML, the first that fits, and what to write."""
+
+
+def _syntax_hint(text: str, error: str) -> str:
+    """Return what to write in the line that an error of TOML names; empty where nothing is known."""
+    place = re.search(r"at line (\d+)", error)
+    line = text.splitlines()[int(place[1]) - 1] if place else ""
+    return next((f"; {remedy}" for slip, remedy in _SLIPS if slip.search(line)), "")

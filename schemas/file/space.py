@@ -206,6 +206,7 @@ class SystemChoice(Model, extra="allow"):
         if len(kinds) != 1:
             forms = [each.form for each in KINDS.values()]
             near = next(filter(None, (meant(name, KINDS) for name in self.options)), "") if not kinds else ""
+            near = f"{' and '.join(kinds)} name several systems; " if kinds else near
             raise ValueError(f"name: {near}give one of {', '.join(forms[:-1])}, and {forms[-1]}")
         kind = KINDS[kinds[0]]
         for key in dict.fromkeys(key for each in KINDS.values() for key in each.keys):

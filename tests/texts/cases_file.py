@@ -36,6 +36,7 @@ from tests.unit.schemas.file import test_reader, test_signal_spaces, test_space
 def campaign_file(_folder: Path) -> Cases:
     """Yield the refusals of keys, of a space and of problems, and of what does not suit the system."""
     yield from _keys()
+    yield from _slips()
     yield from _spaces()
     yield from _regions()
     yield from _problems()
@@ -63,6 +64,13 @@ def constants(_folder: Path) -> Cases:
     for name, changes in {"a box": {}, "candidates": {"candidates": 4096}}.items():
         about = plans(robustness(test_starts.EXACT, **changes), spec(noisy=False))
         yield f"the claim is about {name}", "\n".join(consistency.scope(about))
+
+
+def _slips() -> Cases:
+    for text, _ in test_reader.SLIPS:
+        yield f"no TOML: {text}", test_reader.fault_of(text)
+    for head, system, space, _ in test_reader.CARELESS:
+        yield f"careless: {head} {system} {space}", test_reader.fault_of(test_reader.careless(head, system, space))
 
 
 def _keys() -> Cases:

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from ...schemas.errors import DefinitionError, SimulationError
+from ...schemas.errors import DefinitionError, SimulationError, meant
 from ...schemas.file.config import CampaignConfig
 from ...schemas.instants import SAMPLES
 from ...schemas.system import Option, OptionValue, Parameter, SystemSpec
@@ -131,6 +131,16 @@ give horizon = 9, or another step
             f"{where}: horizon: of steps of {step:g} s the last one before {horizon:g} s ends at {last:g} s; give "
             f"horizon = {last:g}, or another step"
         )
+
+
+def check_file(path: Path, place: str) -> None:
+    """Refuse what is no file, with the nearest one of its kind beside it."""
+    if path.is_file():
+        return
+    if path.is_dir():
+        raise DefinitionError(f"{place}: is a folder; name the file in it")
+    near = meant(path.name, [each.name for each in path.parent.glob(f"*{path.suffix}")])
+    raise DefinitionError(f"{place}: there is no such file in {path.parent}{near and '; ' + near.strip()}")
 
 
 @contextmanager

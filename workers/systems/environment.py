@@ -163,8 +163,9 @@ class Environment:
         else:
             fits = space.contains(action)
         if not fits:
+            shaped = f"; return an array of the shape {space.shape}" if hasattr(space, "low") else ""
             raise SimulationError(
-                f"{self._policy.path.name} returned {shortened(repr(action))}, and an action is one of {space}"
+                f"{self._policy.path.name} returned {shortened(repr(action))}, and an action is one of {space}{shaped}"
             )
         return action
 

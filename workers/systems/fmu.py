@@ -27,6 +27,7 @@ from .declared import DeclaredFiles, WithSpec, declared_files
 from .described import (
     DescribedSystem,
     blaming,
+    check_file,
     check_horizon,
     check_whole,
     fixed_option,
@@ -269,9 +270,7 @@ def load_fmu(file: Path, config: CampaignConfig) -> SystemUnderTest:
     except ImportError:
         raise DefinitionError(f"{where}: system.fmu: fmpy is not installed; {missing('fmpy')}") from None
     place = f"{where}: system.fmu: {choice.fmu}"
-    if not path.is_file():
-        what = "is a folder; name the file in it" if path.is_dir() else f"there is no such file in {folder}"
-        raise DefinitionError(f"{place}: {what}")
+    check_file(path, place)
     if not zipfile.is_zipfile(path):
         raise DefinitionError(f"{place}: this file is no FMU, which is a zip archive")
     with placed(f"{where}: system"):

@@ -10,6 +10,7 @@
 
 import copy
 import inspect
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,6 +30,7 @@ from .declared import DeclaredFiles, WithSpec, declared_files
 from .described import (
     DescribedSystem,
     blaming,
+    check_file,
     check_horizon,
     fixed_option,
     listed,
@@ -247,9 +249,7 @@ def load_mjcf(file: Path, config: CampaignConfig) -> SystemUnderTest:
     except ImportError:
         raise DefinitionError(f"{where}: system.mjcf: mujoco is not installed; {missing('mujoco')}") from None
     place = f"{where}: system.mjcf: {choice.mjcf}"
-    if not path.is_file():
-        what = "is a folder; name the file in it" if path.is_dir() else f"there is no such file in {folder}"
-        raise DefinitionError(f"{place}: {what}")
+    check_file(path, place)
     listen(mujoco)
     with blaming(place):
         # All that it consists of: included models, meshes, textures.
@@ -371,7 +371,10 @@ def _set_by_name(
     if place.array == "ctrl" and policy is not None:
         raise DefinitionError(f"{where}: space: {name} is set by the controller at every step; leave one of both out")
     if parameter.unit and place.unit and parameter.unit != place.unit:
-        raise DefinitionError(f"{where}: space: {name} is in {place.unit}, and not in {parameter.unit}")
+        turned = (parameter.unit, place.unit) == ("deg", "rad")
+        ends = [math.radians(each) for each in (parameter.low, parameter.high)]
+        remedy = f"; give [{ends[0]:.6g}, {ends[1]:.6g}]" if turned else ""
+        raise DefinitionError(f"{where}: space: {name} is in {place.unit}, and not in {parameter.unit}{remedy}")
     for joint in range(model.njnt):
         if place.array == "qpos" and model.jnt_qposadr[joint] == place.offset and model.jnt_limited[joint]:
             low, high = model.jnt_range[joint].tolist()
@@ -409,7 +412,8 @@ def _substeps(step: float | None, timestep: float, where: str) -> int:
     substeps = round(step / timestep)
     if not substeps or abs(substeps * timestep - step) > 1e-9 * step:
         raise DefinitionError(
-            f"{where}: system.step: {step:g} s is no multiple of the model's time step, {timestep:g} s"
+            f"{where}: system.step: {step:g} s is no multiple of the model's time step, {timestep:g} s; give "
+            f"{max(substeps, 1) * timestep:g}, or set timestep in the model"
         )
     return substeps
 

@@ -230,3 +230,10 @@ def test_a_rollout_that_lasts_needs_a_horizon() -> None:
     found = uncovered(np.array([0.0, 1.0]), 0.0)
     assert found is not None
     assert "the last row, 1, is at t = 1 s, and the horizon is 0 s: give the campaign horizon = 1" in found
+
+
+@pytest.mark.parametrize(("samples", "missing"), [(10, True), (9, False), (1, False)])
+def test_one_sample_too_few_is_named(samples: int, missing: bool) -> None:
+    found = uncovered(np.arange(samples, dtype=np.float64) * 0.1, 1.0)
+    assert found is not None
+    assert ("one sample more: round(horizon / step) + 1" in found) is missing

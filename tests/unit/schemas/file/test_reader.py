@@ -544,3 +544,61 @@ def test_a_draft_is_told_where_its_constants_come_from() -> None:
     with pytest.raises(CampaignError) as caught:
         parse_campaign(DRAFT.encode(), "c.toml")
     assert says(caught.value.lines[-1], "^c.toml: kernel: `perfbound calibrate c.toml`")
+
+
+SLIPS = [
+    ("horizon = 1\nspecification = always (y <= 2)\n", "line 2 put text in quotes"),
+    ("specification = \u201calways (y <= 2)\u201d\n", "line 1 straight quotes"),
+    ('horizon = 1\n[system]\npython = "C:\\Users\\me\\base.py:f"\n', "line 3 write a path with /"),
+    ("horizon = 1,5\n", "line 1 with a point, as 1.5"),
+    ("horizon = 10 s\n", "line 1 without its unit"),
+    ("horizon: 1\n", "line 1 write KEY = VALUE"),
+    ("horizon = 1\nhorizon = 2\n", "Cannot overwrite a value"),
+]
+"""Lines of a careless user that are no TOML, and what the error says."""
+
+
+@pytest.mark.parametrize(("text", "words"), SLIPS)
+def test_a_line_that_is_no_toml_says_what_to_write(text: str, words: str) -> None:
+    assert says(fault_of(text), f"^not TOML: {words}")
+
+
+OWN = (
+    'horizon = 1\nspecification = "always (y <= 2)"\nHEAD\n[system]\npython = "cars.py:cars"\nSYSTEM\n[space]\nSPACE\n'
+)
+CARELESS = [
+    ("falsify = {}", "", "x = { min = 0, max = 1 }", "space.x.min: did you mean 'low'"),
+    ("falsify = {}", "", "Tank.level0 = [0, 1]", "space.Tank.level0: no dot write tank_level0"),
+    ("falsify = true", "", "x = [0, 1]", "falsify: True a table falsify = {}"),
+    ("claims = { quantity = 'failure_probability' }", "", "x = [0, 1]", "claims: a list of tables: [{ quantity ="),
+    ("claims = ['failure_probability']", "", "x = [0, 1]", "claims.0: a table: { quantity ="),
+    ("falsify = {}", "fmu = 'Tank.fmu'", "x = [0, 1]", "system.name: python and fmu several systems; give one of"),
+    ("falsify = {}\nrequired_at_most = 5", "", "x = [0, 1]", "required_at_most: 5 between 0 and 1; 5 % is 0.05"),
+    ("falsify = {}\nrequired_at_most = 0", "", "x = [0, 1]", "required_at_most: 0 between 0 and 1"),
+]
+"""Further keys, below `[system]`, the space, and what the error says."""
+
+
+def careless(head: str, system: str, space: str) -> str:
+    return OWN.replace("HEAD", head).replace("SYSTEM", system).replace("SPACE", space)
+
+
+@pytest.mark.parametrize(("head", "system", "space", "words"), CARELESS)
+def test_a_careless_value_says_what_to_write(head: str, system: str, space: str, words: str) -> None:
+    assert says(fault_of(careless(head, system, space)), f"^{words}")
+
+
+def test_a_key_of_the_campaign_below_the_system_is_sent_to_its_place() -> None:
+    file = parse_campaign(careless("falsify = {}", "deadline = 3\ngain = 2", "x = [0, 1]").encode(), "c.toml")
+    spec = SystemSpec(
+        name="cars",
+        doc="",
+        parameters=(Parameter(name="x", unit="", low=0, high=1),),
+        columns=(Column(name="t", unit="s"), Column(name="y", unit="m")),
+        max_horizon=9,
+    )
+    with pytest.raises(CampaignError) as caught:
+        check_against(file, spec, "c.toml")
+    key, option = caught.value.lines
+    assert says(key, "^c.toml: system.deadline: above the first [table]")
+    assert says(option, "^c.toml: system.gain: cars has no options")

@@ -260,6 +260,7 @@ def test_a_reset_that_lacks_a_parameter_is_refused_with_all_of_them(environment:
         ("CartPole-v1", "length = [0.4, 0.6]", "0.0", r"returned 0\.0, and"),
         ("Pendulum-v1", "g = [9, 11]", "[0.0, 0.0, 0.0]", r"an action is one of Box\(-2\.0, 2\.0, \(1,\), float32\)"),
         ("Pendulum-v1", "g = [9, 11]", "[float('nan')]", r"returned \[nan\], and an action is one of"),
+        ("Pendulum-v1", "g = [9, 11]", "0.5", r"\(1,\), float32\); return an array of the shape \(1,\)"),
         ("Pendulum-v1", "g = [9, 11]", "['x']", r"returned \['x'\], and an action is one of"),
     ],
 )
@@ -287,7 +288,11 @@ def test_a_horizon_of_less_than_a_step_is_refused(environment: Make) -> None:
         ("policy.py:act", "policy.py:acts", r"there is no function 'acts' in it"),
         ("policy.py:act", "model.zip:PPO", r"model\.zip: there is no such model"),
         ("KEYS", 'samples = "npy"', r"system\.samples: this key is for a program alone"),
-        ('gymnasium = "ID"', 'gymnasium = "ID"\npython = "a.py:b"', r"system\.name: give one of name"),
+        (
+            'gymnasium = "ID"',
+            'gymnasium = "ID"\npython = "a.py:b"',
+            r"system\.name: python and gymnasium .*; give one of name",
+        ),
     ],
 )
 def test_a_wrong_table_names_the_key(tmp_path: Path, old: str, new: str, said: str) -> None:

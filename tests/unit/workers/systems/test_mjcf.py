@@ -200,7 +200,7 @@ def _parsed(campaign: str) -> Any:
 @pytest.mark.parametrize(
     ("keys", "space", "message"),
     [
-        ("step = 0.007", START, "system.step: 0.007 s is no multiple of the model's time step, 0.005 s"),
+        ("step = 0.007", START, "system.step: 0.007 s is no multiple of the model's time step, 0.005 s; give 0.005,"),
         ("step = 2", START, "horizon: 1 s is less than one step"),
         ("", "qpos_hing = [0, 1]", "space: did you mean 'qpos_hinge'.*'qpos_hing' is none of.*reset"),
         ("", "tip_angle = [0, 1]", "space: .*'tip_angle' is none of"),
@@ -210,7 +210,11 @@ def _parsed(campaign: str) -> Any:
         ('keyframe = "tlted"', START, "system.keyframe: 'tlted' is none of tilted"),
         ("stp = 0.01", START, "system: did you mean 'step'"),
         ("max_tests = 3", START, "system: put the key `max_tests` of the campaign above the first"),
-        ("", "qpos_hinge = { low = -1, high = 1, unit = 'deg' }", "space: qpos_hinge is in rad, and not in deg"),
+        (
+            "",
+            "qpos_hinge = { low = -1, high = 1, unit = 'deg' }",
+            r"space: qpos_hinge is in rad, and not in deg; give \[-0.0174533, 0.01",
+        ),
         ("", "qpos_Hinge = [0, 1]", "space: names are in lower case here; write qpos_hinge for 'qpos_Hinge'"),
         ('controller = "control.py:balance"', "ctrl_motor = [0, 1]", "space: ctrl_motor is set by the controller"),
         ('controller = "control.py:balanced"', START, "system.controller: .*did you mean 'balance'"),
@@ -271,7 +275,9 @@ def test_models_that_cannot_be_read_are_refused_with_the_reason(pendulum: Make, 
     with pytest.raises(DefinitionError, match=r"system.mjcf: pendulum\.xml: ValueError: .*Schema violation"):
         pendulum(model="<mujoco><wrldbody/></mujoco>")
     (tmp_path / "pendulum.xml").unlink()
-    with pytest.raises(DefinitionError, match=r"system.mjcf: pendulum\.xml: there is no such file"):
+    with pytest.raises(
+        DefinitionError, match=r"pendulum\.xml: there is no such file in .*; did you mean 'pole.xml'\?$"
+    ):
         load_mjcf(tmp_path / "c.toml", _parsed(CAMPAIGN))
 
 
