@@ -10,7 +10,7 @@ from .composition import ComposedClaim, Rule, is_composed
 from .disturbance import MAX_DISTURBANCES, Disturbance
 from .drawn_claims import SAMPLED, ClaimRequest, DrawnClaim, drawn_claims
 from .logs import MAX_LOGS, RecordedTest
-from .method_spaces import MAX_CANDIDATES, MOST_STARTS, RESOLUTION, fixed_starts, nodes_per_parameter
+from .method_spaces import CELLS_OF_MORE, MAX_CANDIDATES, MOST_STARTS, RESOLUTION, fixed_starts, nodes_per_parameter
 from .objectives import OBJECTIVES, Sense
 from .problem_models import Falsify, Gap, Problem, SampleProblem
 from .requirements import MOST, Requirement, conjunction
@@ -37,7 +37,10 @@ class CampaignSize(Model):
     window: int = Field(default=1, ge=1, le=10_000, description="tests in flight per problem")
     replicates: int = Field(default=1, ge=1, le=100_000, description="rollouts per test and variant")
     resolution: int = Field(
-        default=RESOLUTION, ge=2, description=f"lattice nodes per parameter; at most {MAX_CANDIDATES:,} in all"
+        default=RESOLUTION,
+        ge=2,
+        description=f"lattice nodes per parameter; at most {MAX_CANDIDATES:,} in all; that of `kriging` is by "
+        f"default, with 4, 5 or 6 parameters, {', '.join(map(str, CELLS_OF_MORE.values()))}",
     )
     max_tests: int = Field(default=2000, ge=1, le=1_000_000, description="largest number of tests per problem")
 

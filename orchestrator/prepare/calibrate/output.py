@@ -134,7 +134,10 @@ def _budget_lines(guess: BudgetForecast) -> Iterator[str]:
             f"{duration(each.seconds)}{mark}"
         )
     if guess.vain:
-        yield "  No budget proves more than the constants alone: remove `method` from the draft, for one by rigorous."
+        yield (
+            "  No budget proves more than the constants alone: remove `method` from the draft, for one by rigorous (of "
+            "more than three parameters with `candidates`)."
+        )
     yield f"  {THOUSAND} further rollouts would bring about {guess.thousand:.2g}; times include the closing checks"
 
 
