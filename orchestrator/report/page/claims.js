@@ -162,8 +162,8 @@ function verdictCard(report) {
     el("p.answer", withTerms(answer)),
     el(
       "div.beside",
-      el("dl.parts", rows.filter(([, value]) => value !== null && value.length !== 0).map(([name, value]) => el("div", el("dt", name), el("dd", value)))),
       worstPicture(report),
+      el("dl.parts", rows.filter(([, value]) => value !== null && value.length !== 0).map(([name, value]) => el("div", el("dt", name), el("dd", value)))),
     ),
   );
 }
