@@ -161,5 +161,6 @@ def scope(plans: Plans, *, listed_alone: bool = False) -> Iterator[str]:
     count = len(found[0].parameters)
     yield (
         f"{names}: the claim is about the worst of {listed:,} listed starts, spread over the ranges of {count} "
-        f"parameter{'s' if count > 1 else ''}, and about no start between them; method 'sample' makes claims about all"
+        f"parameter{'s' if count > 1 else ''}, and about no start between them; for the whole ranges method "
+        "'kriging' bounds the worst start, and 'sample' how often drawn ones fail"
     )

@@ -154,7 +154,10 @@ def poison_text(
         repeat = f"Of its {rollouts_of(found.rollout)} rollouts repeat the first one alone: {command}"
     elif found.failures[-1].failure == missed(config.deadline):
         missing = f"It exceeds deadline = {config.deadline:g} s at the start ({start})"
-        repeat = f"{missing}; simulated alone, it names the place in the file. {repeat}"
+        named = (
+            "it names the place in the file" if config.system.program is None else "see whether it flushes its answers"
+        )
+        repeat = f"{missing}; simulated alone, {named}. {repeat}"
     # Another code is another system, with which the recorded rollouts cannot be mixed.
     remedy = "If the code of the system is wrong, fix it and start a new campaign (--out); else"
     which = "batch" if rollouts_of(found.rollout) > 1 else "rollout"

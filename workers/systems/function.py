@@ -155,8 +155,10 @@ def _by_name(returned: object, names: tuple[str, ...]) -> dict[str, Floats]:
         return {name: _samples_of(returned[name], name, 1) for name in returned}
     if isinstance(returned, tuple | list):
         if len(returned) != len(names):
+            rows = all(isinstance(each, tuple | list) and len(each) == len(names) for each in returned)
+            remedy = "return one array for each, not a row for each sample" if rows else "return one array for each"
             raise SimulationError(
-                f"the function returned {len(returned)} values, its columns are {listed_names(names)}"
+                f"the function returned {len(returned)} values, its columns are {listed_names(names)}; {remedy}"
             )
         return {name: _samples_of(value, name, 1) for name, value in zip(names, returned, strict=True)}
     array = _samples_of(returned, "the returned value", 2, width=len(names))

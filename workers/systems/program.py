@@ -252,7 +252,13 @@ def _numbers(line: str, columns: Sequence[str]) -> list[float]:
 
 
 def _read_f64(path: Path, columns: Sequence[str]) -> Floats:
-    return np.fromfile(path, dtype="<f8").reshape(-1, len(columns))
+    numbers, size, width = np.fromfile(path, dtype="<f8"), path.stat().st_size, len(columns)
+    if size % (8 * width):
+        raise ValueError(
+            f"{size} bytes are no samples of {width} numbers of 8 bytes, {','.join(columns)}; write one sample "
+            "after the other, or name every column under `columns`"
+        )
+    return numbers.reshape(-1, width)
 
 
 def _read_npy(path: Path, _columns: Sequence[str]) -> Floats:

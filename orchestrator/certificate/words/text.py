@@ -414,7 +414,8 @@ def _spot_sentences(
         share = outward(spot.failure_probability, "<=")
         verb = "violates" if spot.failures == 1 else "violate"
         violate = f"{spot.failures:,} of {spot.starts:,} rollouts at fresh starts {verb} the specification"
-        yield f"{violate}; at a uniform start a rollout does so with probability at most {share}."
+        known = f"a rollout does so with probability at most {share}, confidence {confidence}"
+        yield f"{violate}; at a uniform start {known}."
 
 
 OF_STATUS = {

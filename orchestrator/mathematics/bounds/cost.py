@@ -3,7 +3,7 @@
 | symbol | name         | meaning                                                         | unit |
 |--------|--------------|-----------------------------------------------------------------|------|
 | p      | `parameters` | parameters                                                      | 1    |
-| m      | `candidates` | nodes of a lattice, or fixed starts                             | 1    |
+| m      | `candidates` | nodes of a lattice, or listed starts                            | 1    |
 | T      | `tests`      | tests at most                                                   | 1    |
 | n      | `distinct`   | of them, those at other starts                                  | 1    |
 | w      | `window`     | tests in flight                                                 | 1    |
@@ -55,7 +55,7 @@ class MethodSize:
     tests: int
     window: int = 1
     listed: bool = False
-    """Whether the candidates are fixed starts, of which each kernel row is kept once more."""
+    """Whether the candidates are listed starts, of which each kernel row is kept once more."""
     refined: bool = False
     """Whether tests are between the nodes, so that there may be more of them than nodes."""
     per_axis: int = 0

@@ -136,7 +136,7 @@ def _budget_lines(guess: BudgetForecast) -> Iterator[str]:
     if guess.vain:
         yield (
             "  No budget proves more than the constants alone: remove `method` from the draft, for one by rigorous (of "
-            "more than three parameters with `candidates`)."
+            "more than three parameters with `candidates`, about listed starts alone)."
         )
     yield f"  {THOUSAND} further rollouts would bring about {guess.thousand:.2g}; times include the closing checks"
 

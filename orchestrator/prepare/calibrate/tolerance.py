@@ -27,6 +27,8 @@ MOST_TESTS = 150
 MARGIN = 1.5
 """The budget over the forecast: the objective is rougher than what is fitted to it."""
 LARGEST_BUDGET = 2000
+ERRORS = 2
+"""Standard errors of the fit on each side of a forecast bound."""
 NEAR = 0.95
 """Part of alpha that the candidates may leave: the box between them needs the rest."""
 
@@ -109,7 +111,9 @@ def tolerance_forecast(
     # What is beyond the maximum falls as the distance of the bounds does.
     largest, error = float(truth.max()), fit.error(data, nodes[truth.argmax()])
     bound = largest + max(upper - largest, 0.0) * min(1.0, alpha / widths[-1]) if tests is not None else upper
-    guess = Guess(bound, bound, bound)
+    # All that alpha leaves between the bounds may be on the side of the claim.
+    worst = max(bound, largest + (alpha if tests is not None else 0.0))
+    guess = Guess(bound, bound - ERRORS * error, worst + ERRORS * error)
     return ToleranceForecast(tests, tuple(widths), budget, seconds + own, rollouts, alpha, guess, largest, error)
 
 

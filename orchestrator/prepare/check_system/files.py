@@ -29,7 +29,8 @@ def judge_files(measurements: Measurements) -> SystemFinding | None:
             "import them at the top of the file of the system, so that another version is refused by its name",
         )
     if not found:
-        return passed("files", "every file that was read is part of the system")
+        unseen = "; what the program opens elsewhere was not looked at" if measurements.program else ""
+        return passed("files", f"every file that was read is part of the system{unseen}")
     more = f" and {len(found) - MOST_NAMED} more" if len(found) > MOST_NAMED else ""
     listed = f"{', '.join(found[:MOST_NAMED])}{more}"
     return warning(

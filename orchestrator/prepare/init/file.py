@@ -52,10 +52,10 @@ def _head(campaign: FirstCampaign) -> Iterator[str]:
     yield f"specification = {toml_quoted(basis.specification)}"
     if campaign.candidates is not None:
         yield from toml_comment(
-            "With so many parameters the claim is about the worst of this many fixed starts, spread over the "
-            "ranges, and about no start between them. This is the number without this key:"
+            "With so many parameters the claim is about the worst of this many listed starts, spread over the "
+            "ranges, and about no start between them:"
         )
-        yield f"# candidates = {campaign.candidates}"
+        yield f"candidates = {campaign.candidates}"
     yield from toml_comment(
         "For workers on several machines: this share of the rollouts is simulated by two of them, and counts if "
         "both agree, so that a machine that computes wrongly is found. It costs as many rollouts more."

@@ -159,7 +159,7 @@ function failingText(problem) {
 function overshootText({ charts: { overshoots, clip }, unit }, series, kind) {
   if (!(overshoots > 0) || (series !== "mean" && kind !== "profile")) return "";
   const ends = clip.filter((value) => value !== null).map((value) => quantity(value, unit)).join(" to ");
-  return `At ${percent(overshoots)} of the candidates the model goes beyond the clip (${ends}), as no rollout can; its mean is cut there.`;
+  return `At ${percent(overshoots)} of the starts the model goes beyond the clip (${ends}), as no rollout can; its mean is cut there.`;
 }
 
 function bandText(problem, band) {

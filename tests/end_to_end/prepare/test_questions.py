@@ -100,3 +100,23 @@ def test_an_unknown_question_names_all(started: Processes, systems: Path) -> Non
     refused = started.run("perfbound", "init", systems / "cars.py:cars", "--question", "frequency")
     assert refused.code == 1
     assert "--question frequency: there is no such question; choose one of worst (How bad is the worst" in refused.fault
+
+
+MANY = """import perfbound as pb
+
+
+@pb.system(parameters={name: pb.Parameter(0, 1) for name in "abcd"}, columns={"x": "m"}, step=0.1)
+def many(a, b, c, d, *, seed, horizon):
+    return [[2 + a - b * c + 0.1 * d + 0.001 * (seed % 7)] * 11]
+"""
+
+
+def test_the_worst_start_of_four_parameters_is_asked_by_a_file_that_runs(started: Processes, tmp_path: Path) -> None:
+    (tmp_path / "many.py").write_text(MANY)
+    asked = ("--question", "worst", "--specification", "always (x >= 0)", "--horizon", "1")
+    made = started.run("perfbound", "init", tmp_path / "many.py:many", *asked, "--out", tmp_path / "w.toml")
+    assert made.code == 0, made.err
+    ended = started.run("perfbound", "run", tmp_path / "w.toml", "--out", tmp_path / "run")
+    assert ended.code == 0, ended.err
+    assert "at the worst of the 4,096 listed starts" in ended.out
+    assert "Spot check: " in ended.out

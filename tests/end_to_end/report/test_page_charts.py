@@ -211,7 +211,7 @@ def test_sizes_of_dots_are_in_the_legend(browser: Browser, tmp_path: Path) -> No
 def test_a_mean_beyond_the_clip_is_told(browser: Browser, tmp_path: Path) -> None:
     with opened(browser, tmp_path, example_reports.charted()) as watch:
         text = watch.page.locator("figure:has(#map-0) .caption").inner_text()
-        assert "At 25 % of the candidates the model goes beyond the clip" in text
+        assert "At 25 % of the starts the model goes beyond the clip" in text
         assert "All colours are above the required 0.1 rad." in text
 
 

@@ -29,7 +29,7 @@ function importanceCaption(report, { charts: { importance }, observed, unit, dra
   const left = report.axes.length - importance.parameters.length;
   const others = left > 0 ? ` The ${left} least important parameters are left out.` : "";
   if (importance.of_model) {
-    return `Bars: the share of the variation of the model's mean over the box that a parameter explains (first-order and total Sobol indices, exact on the ${count(importance.values)} candidates, every start as likely as another). Curves${most}: the mean of the model over all other parameters. This describes the model after ${plural(observed, "test")}, and is no part of the claim.${others}`;
+    return `Bars: the share of the variation of the model's mean over the box that a parameter explains (first-order and total Sobol indices, exact on the ${count(importance.values)} nodes of a grid, every start as likely as another). Curves${most}: the mean of the model over all other parameters. This describes the model after ${plural(observed, "test")}, and is no part of the claim.${others}`;
   }
   return `Bars: the share of the variation of the observed robustness at ${count(importance.values)} drawn starts that a parameter explains by itself (first-order Sobol indices, estimated by ranks). Curves${most}: means of neighbouring tests${unitText(drawn?.unit ?? unit) && ` in ${unitText(drawn?.unit ?? unit)}`}. This describes the tests, and is no part of the claim.${others}`;
 }

@@ -32,7 +32,7 @@ function predictionCaption(problem) {
   const what = `Each point is a fresh start that the model did not see: to the right what its mean predicts, upwards what ${observed} showed.`;
   const noise = noisy ? " The bounds are those of the expectation, and a rollout has noise: a point outside does not refute them by itself." : " Without noise a point outside refutes them.";
   const counted = hasBounds(prediction) ? ` ${count(inside)} of ${count(starts)} are within the predicted bounds.${noise}` : " The model has no bounds here.";
-  const between = interpolated ? " The mean is interpolated between the candidates, the bounds are those of the nearest one." : "";
+  const between = interpolated ? " The mean is interpolated between the nodes of the grid, the bounds are those of the nearest one." : "";
   return what + counted + between + drawn;
 }
 
