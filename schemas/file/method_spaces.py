@@ -166,7 +166,10 @@ def check_lattice(
         number, memory = f"{nodes:,}", f"{amount(8 * nodes)} for each start that is tested"
     ways = [f"give resolution = {fitting}"] if fitting > 1 else []
     if parameters > LATTICE_PARAMETERS and not regions:
-        ways.append(f"choose a method without a lattice: {without_lattice(problem)}")
+        other = method != "kriging" and parameters in CELLS_OF_MORE and "kriging" in OBJECTIVES[problem].methods
+        fits = nodes_per_parameter("kriging", box, resolution) <= largest_resolution("kriging", parameters)
+        whole = "'kriging', or " if other and fits else ""
+        ways.append(f"choose another method: {whole}{without_lattice(problem)}")
     elif method in FIXED_STARTS and not (regions and ways):
         first = "remove regions and " if regions else ""
         ways.append(f"{first}give candidates = {FIXED_STARTS[method].proposed} for a claim about so many starts alone")

@@ -54,7 +54,8 @@ def sampled(*, batch: int) -> FirstCampaign:
     """Return a campaign of drawn starts."""
     one = campaign(robustness=proposal(-2.0, 17.0, 0.34, 0.1))
     basis = replace(one.basis, constants={}, clip=None)
-    return replace(one, question=QUESTIONS["how-often"], basis=basis, size=FirstSize(2995, 1), batch=batch)
+    size = FirstSize(2995, 1)
+    return replace(one, question=QUESTIONS["how-often"], basis=basis, size=size, batch=batch, candidates=None)
 
 
 def noise_of(constants: tuple[Constant, ...]) -> object:
