@@ -27,8 +27,8 @@ from ..fleet.children.rollouts import ChildRolloutError, ChildSystem, SlowRollou
 
 PATIENCE = 10.0
 """Seconds after which the campaign begins without the end of such a rollout, whose deadline may be an hour."""
-NOTICE = 1.0
-"""Seconds after which a line says what the command waits for."""
+NOTICE = 4.0
+"""Seconds after which a line says what the command waits for; on a busy machine the process starts in two."""
 ATTEMPTS = 2
 """As in a campaign, where a rollout may fail once: a crash need not be a fault of the simulator."""
 TOGETHER = 2

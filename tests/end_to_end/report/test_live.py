@@ -108,7 +108,8 @@ def test_a_page_that_is_killed_does_not_disturb_the_run(started: Processes, page
     campaign = write(started.folder)
     process = started.start("perfbound", "run", campaign, "--out", directory, "--web", "--log", "json")
     wait_for(lambda: "live page: " in process.err)
-    url = json.loads(process.err.splitlines()[0])["message"].removeprefix("live page: ")
+    said = [json.loads(line)["message"] for line in process.err.splitlines()]
+    url = next(each for each in said if each.startswith("live page: ")).removeprefix("live page: ")
     told = story(url)
     assert told["state"] == "running"
     wait_for(lambda: {worker["state"] for worker in story(url)["workers"]} & {"idle", "busy"})

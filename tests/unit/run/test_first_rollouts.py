@@ -122,7 +122,7 @@ def test_a_line_says_what_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
 
     def slow(system: ChildSystem, requests: Requests, folder: Path, done: Callable[[int], None]) -> None:
-        for now[0] in (0.9, 1.0, 2.0):  # the clock
+        for now[0] in (3.9, 4.0, 5.0):  # the clock
             done(0)
         simulated(system, requests, folder, done)
 
