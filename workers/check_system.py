@@ -32,6 +32,7 @@ from .faults import NOT_OF_SYSTEMS, reason
 from .opened import Opened
 from .simulate import requested_system, run_request_on
 from .systems import load_system
+from .systems.base import acts_of
 from .systems.place import PREFIX as SCRATCH
 
 STDOUT = 1
@@ -154,7 +155,7 @@ def _measured(trial: Trial, kept: Path | None) -> Measured:
         beginning_sha256=_samples_sha256(trajectory.samples[t <= trial.beginning + ROUND_OFF]),
         file_bytes=len(payload),
         grid=_grid(trajectory, request.horizon),
-        acts=acted() if (acted := getattr(system, "acted", None)) else None,
+        acts=acts_of(system),
         reported=tuple(
             float(trajectory.samples[0, trajectory.columns.index(each.name)]) for each in system.spec.reported
         ),

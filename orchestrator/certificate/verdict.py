@@ -9,7 +9,7 @@ from ...schemas.file.config import CampaignConfig
 from ...schemas.file.drawn_claims import PROBABILITIES, is_sampled
 from ...schemas.file.parts import parts_of
 from ...schemas.file.problem_models import KernelProblem
-from ...schemas.ids import SPOT_CHECK, closing_check
+from ...schemas.ids import SPOT_CHECK, RolloutId, closing_check
 from ...schemas.result.certificate import CertificateClaim, Predicate
 from ...schemas.result.facts import Header
 from ...schemas.result.known import CampaignVerdict, Violations
@@ -211,8 +211,9 @@ def _is_contradicted(header: Header, claim: CertificateClaim, violations: Violat
 
 def _is_between(claim: CertificateClaim, violations: Violations) -> bool:
     """Whether the worst rollout is at a fresh start of the box, and the claim about listed starts of it alone."""
-    problem = (violations.rollout or "").partition(".")[0]
-    return claim.starts is not None and closing_check(problem) == SPOT_CHECK
+    if claim.starts is None or violations.rollout is None:
+        return False
+    return closing_check(RolloutId.parse(violations.rollout).problem) == SPOT_CHECK
 
 
 def _between(claim: CertificateClaim, violations: Violations) -> tuple[str, ...]:

@@ -1,6 +1,6 @@
 """The first rollout of a new campaign, simulated before its run directory and its workers.
 
-A fault of somebody's own simulator is then one line at once, and not a worker's failed attempts. The rollout is no
+A fault of a user's own simulator is then one line at once, and not a worker's failed attempts. The rollout is no
 evidence: nothing of it is kept, and a worker simulates it again.
 """
 
@@ -37,7 +37,7 @@ GROUP, OURS = "perfbound.systems", "perfbound"
 """Entry points of installed systems, and the distribution whose systems are tested where it is."""
 
 
-def is_somebodys_own(reference: str) -> bool:
+def is_own_system(reference: str) -> bool:
     """Whether a system, as a worker finds it, is none that perfbound brings along."""
     return in_file(reference) or not any(
         each.dist is not None and each.dist.name == OURS for each in entry_points(group=GROUP, name=reference)

@@ -33,7 +33,7 @@ from ..store.rows import existing
 from .collision import COLLISION, PoisonedError, is_collision
 from .directory import check_vacant, claimed
 from .display.systemd import Systemd, with_a_loop
-from .first_rollouts import check_first_rollouts, is_somebodys_own
+from .first_rollouts import check_first_rollouts, is_own_system
 from .options import RunOptions, check_own, check_platform, check_workers, reopened
 from .page.live_page import LivePage, live_page
 from .trust import doubted
@@ -75,7 +75,7 @@ def start_campaign(
         live_page(link.web, directory, console, insecure=link.insecure) as page,
         _transport(options, console) as transport,
     ):
-        if options.workers and options.own is None and is_somebodys_own(reference):
+        if options.workers and options.own is None and is_own_system(reference):
             check_first_rollouts(header, reference, where, lambda line: console.print(Text(line), soft_wrap=True))
         with created(directory, header, options.origin(reference)) as journal:
             page.announce()

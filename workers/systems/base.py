@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,6 +76,12 @@ class SystemUnderTest(Protocol):
     def acted(self) -> Acts | None:
         """Return what a policy did in the last rollout, for `check-system`; None, the default, without one."""
         return None
+
+
+def acts_of(system: object) -> Acts | None:
+    """Return what a policy did in the last rollout of a system, which may be one of others and know nothing of that."""
+    acted = getattr(system, "acted", None)
+    return None if acted is None else cast(Acts | None, acted())
 
 
 class Vectorised(SystemUnderTest, Protocol):

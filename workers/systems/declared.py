@@ -14,7 +14,7 @@ from ...schemas.errors import DefinitionError, ReplacedError
 from ...schemas.system import SystemSpec
 from ...schemas.system_check import Acts
 from ...schemas.trajectory.trajectory import Trajectory, Visual
-from .base import Floats, SystemUnderTest, Vectorised
+from .base import Floats, SystemUnderTest, Vectorised, acts_of
 from .fingerprint import CACHES, file_sha256
 
 MOST_FILES = 10_000
@@ -102,8 +102,7 @@ class WithSpec(SystemUnderTest):
 
     def acted(self) -> Acts | None:
         """Return what a policy did in the last rollout of the system."""
-        acted = getattr(self._system, "acted", None)
-        return None if acted is None else cast(Acts | None, acted())
+        return acts_of(self._system)
 
 
 def declared_files(patterns: object, folder: Path, base: Path | None = None) -> dict[str, Path]:

@@ -13,7 +13,7 @@ from ...schemas.file.space import SystemChoice
 from ...schemas.system import Parameter, SystemSpec, Variant, timed_columns
 from ...schemas.system_check import Acts
 from ...schemas.trajectory.trajectory import Trajectory, Visual
-from .base import Floats, SystemUnderTest, Vectorised
+from .base import Floats, SystemUnderTest, Vectorised, acts_of
 from .described import DescribedSystem, fixed_option
 
 
@@ -58,8 +58,7 @@ class Half(DescribedSystem):
 
     def acted(self) -> Acts | None:
         """Return what a policy did in the last rollout of the simulator."""
-        acted = getattr(self._system, "acted", None)
-        return None if acted is None else cast(Acts | None, acted())
+        return acts_of(self._system)
 
     def _translated(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
         # What the other one alone takes.

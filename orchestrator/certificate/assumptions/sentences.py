@@ -96,8 +96,8 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "them adds {slack}; the bound contains both.",
     },
     "finite_box": {
-        "derived": "the claim covers {starts} listed starts, corners of [space] and points of a Sobol sequence over "
-        "its ranges, and no start between them; over these the optimum is exact.",
+        "derived": "the claim covers {starts} listed starts, points of a Sobol sequence over the ranges of [space] "
+        "and, where they are few, its corners, and no start between them; over these the optimum is exact.",
     },
     "finite_space": {
         "derived": "the claim covers the {starts} listed starts and no others; over these the optimum is exact.",

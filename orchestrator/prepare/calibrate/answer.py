@@ -14,9 +14,8 @@ from ..size import first_samples
 from .calibrate import Calibration
 from .constants import required_bound
 from .forecast import Forecast
+from .tolerance import ERRORS
 
-ERRORS = 2
-"""Standard errors of the fit by which its worst start misses what is required, before no budget is said to help."""
 LEAST_DIGITS, MOST_DIGITS = 3, 12
 
 

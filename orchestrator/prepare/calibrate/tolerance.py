@@ -28,7 +28,7 @@ MARGIN = 1.5
 """The budget over the forecast: the objective is rougher than what is fitted to it."""
 LARGEST_BUDGET = 2000
 ERRORS = 2
-"""Standard errors of the fit on each side of a forecast bound."""
+"""Standard errors of the fit that a forecast allows for, on each side."""
 NEAR = 0.95
 """Part of alpha that the candidates may leave: the box between them needs the rest."""
 
@@ -49,7 +49,7 @@ class ToleranceForecast:
     alpha: float
     """The tolerance: that of the plan, or if it may be raised, one that is within reach."""
     bound: Guess
-    """Of J, at the end of the budget; without a range."""
+    """Of J, at the end of the budget; its worse end has all of alpha on the side of the claim."""
     fitted: float
     """The largest J of the fitted function."""
     error: float

@@ -12,7 +12,7 @@ from perfbound.orchestrator.campaign.plan import plans
 from perfbound.orchestrator.certificate.verify.rerun import MemoryFactStore, NullFileStore
 from perfbound.orchestrator.fleet.children.rollouts import ChildRolloutError, ChildSystem, SlowRolloutError, file_of
 from perfbound.orchestrator.run import first_rollouts
-from perfbound.orchestrator.run.first_rollouts import PATIENCE, check_first_rollouts, first_requests, is_somebodys_own
+from perfbound.orchestrator.run.first_rollouts import PATIENCE, check_first_rollouts, first_requests, is_own_system
 from perfbound.schemas.batch import BatchRequest
 from perfbound.schemas.errors import CampaignError
 from perfbound.schemas.result.facts import Header
@@ -130,10 +130,10 @@ def test_a_line_says_what_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def test_systems_that_come_with_perfbound_are_not_tried() -> None:
-    assert not is_somebodys_own("segway")
-    assert is_somebodys_own("cars.py:cars")
-    assert is_somebodys_own("pendulum.toml")
-    assert is_somebodys_own("my-robot")
+    assert not is_own_system("segway")
+    assert is_own_system("cars.py:cars")
+    assert is_own_system("pendulum.toml")
+    assert is_own_system("my-robot")
 
 
 def test_one_that_fails_once_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -177,7 +177,7 @@ class SpotFinding:
     """The result for one hypothesis; `not refuted` is no evidence beyond `share`.
 
     `not testable`: the values are noisy, and neither bounded nor of a known scale, so that no bet is safe. `beyond`:
-    the limit is false in D, and whoever asked has claimed it of a part of D alone.
+    the limit is false in D, and the claim is about a part of D alone.
     """
 
     name: str
