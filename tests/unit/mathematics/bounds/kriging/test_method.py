@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import minimize, minimize_scalar
 
-from perfbound.orchestrator.mathematics.bounds.kriging import weights
+from perfbound.orchestrator.mathematics.bounds.kriging import design, weights
 from perfbound.orchestrator.mathematics.bounds.kriging.bound import GuessedMean, KrigingBounds, KrigingPremises
-from perfbound.orchestrator.mathematics.bounds.kriging.cells import NodeCells, between, has_bend
+from perfbound.orchestrator.mathematics.bounds.kriging.cells import PER_AXIS, NodeCells, between, has_bend
 from perfbound.orchestrator.mathematics.bounds.kriging.design import (
     SHARES,
     plan_design,
@@ -25,6 +25,7 @@ from perfbound.orchestrator.mathematics.bounds.kriging.weights import CAP, Weigh
 from perfbound.orchestrator.mathematics.gp.kernels import Matern
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice
 from perfbound.orchestrator.mathematics.gp.radial import Radial
+from perfbound.schemas.file import method_spaces
 from perfbound.schemas.values import Observation, Proposal
 from tests.fakes.observations import an_observation
 from tests.fakes.states import blocks, state_of
@@ -472,3 +473,9 @@ def test_of_more_parameters_the_bound_is_true_and_shows_more_than_the_prior(para
     assert bound.upper is not None
     assert largest - 1e-3 < bound.upper < largest + 0.2
     assert bound.upper < 0.4, "B and the prior mean alone"
+
+
+def test_designs_and_the_campaign_file_agree_on_numbers_of_parameters() -> None:
+    """The mathematics cannot import the schemas, so that both have them."""
+    assert method_spaces.LATTICE_PARAMETERS == design.GRID_PARAMETERS
+    assert set(method_spaces.CELLS_OF_MORE) == set(design.SCATTERED) == set(PER_AXIS) - {1, 2, 3}
