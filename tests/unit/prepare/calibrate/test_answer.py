@@ -11,7 +11,7 @@ from perfbound.orchestrator.prepare.calibrate.budget import BudgetForecast, Plan
 from perfbound.orchestrator.prepare.calibrate.calibrate import Calibration
 from perfbound.orchestrator.prepare.calibrate.constants import PilotPace, required_bound, required_objective
 from perfbound.orchestrator.prepare.calibrate.forecast import Forecast
-from perfbound.orchestrator.prepare.calibrate.tolerance import ToleranceForecast
+from perfbound.orchestrator.prepare.calibrate.tolerance import ERRORS, ToleranceForecast
 from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.values import Guess
 from tests.facts import says
@@ -115,3 +115,11 @@ def test_without_a_kernel_the_answer_is_about_drawn_starts_or_unknown(tmp_path: 
     calibrated = replace(found(tmp_path, "required_margin = -2\n"), forecasts=())
     assert says(answer(calibrated), "^Not for every start: kernel pilot rollouts. drawn rollouts s on 4 workers")
     assert says(answer(replace(calibrated, text=None)), "^Not known: kernel specification")
+
+
+def test_all_that_alpha_leaves_may_be_on_the_side_of_the_claim(tmp_path: Path) -> None:
+    (guess,) = found(tmp_path).forecasts
+    assert isinstance(guess, ToleranceForecast)
+    assert guess.tests is not None
+    assert guess.bound.low <= guess.bound.middle
+    assert guess.bound.middle < guess.fitted + guess.alpha <= guess.bound.high - ERRORS * guess.error + 1e-9
