@@ -20,6 +20,9 @@ from .lifeline import adopt_orphans, die_with_parent, signal_with_parent
 GRACE = 0.5
 """Seconds in which what the worker has left may end by itself."""
 TICK = 0.02
+HANDED_ON = (signal.SIGTERM, signal.SIGABRT, END_FAMILY)
+"""SIGABRT has a worker write where it is."""
+FOR_THE_ORCHESTRATOR = (signal.SIGINT, signal.SIGHUP)
 
 
 def become_guarded(lifeline: int | None = None, left: int | None = None) -> None:
@@ -29,26 +32,29 @@ def become_guarded(lifeline: int | None = None, left: int | None = None) -> None
     pipe `left` it writes how many processes it had to end, as a line.
     """
     above, here = os.getppid(), os.getpid()
+    # Until each of the two has its handlers: a guardian that a signal ends before would leave what its worker started.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {*HANDED_ON, *FOR_THE_ORCHESTRATOR})
     # Not control groups, which are not everywhere a user's right.
     adopt_orphans()
     # Before anything of a system is loaded: the guardian costs 5 MB, and no time of a rollout.
     child = os.fork()
     if child:
-        _guard(child, left, lifeline, above)
+        _guard(child, left, lifeline, above, before)
+    signal.pthread_sigmask(signal.SIG_SETMASK, before)
     die_with_parent()
     if os.getppid() != here:
         os._exit(1)
 
 
-def _guard(child: int, left: int | None, lifeline: int | None, above: int) -> NoReturn:
+def _guard(child: int, left: int | None, lifeline: int | None, above: int, mask: set[signal.Signals | int]) -> NoReturn:
     read, write = os.pipe()
     os.set_blocking(write, False)
     signal.set_wakeup_fd(write, warn_on_full_buffer=False)
-    # SIGABRT has a worker write where it is.
-    for number in (signal.SIGTERM, signal.SIGABRT, signal.SIGCHLD, END_FAMILY):
+    for number in (*HANDED_ON, signal.SIGCHLD):
         signal.signal(number, lambda _number, _frame: None)
-    for ignored in (signal.SIGINT, signal.SIGHUP):  # they are for the orchestrator
+    for ignored in FOR_THE_ORCHESTRATOR:
         signal.signal(ignored, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_SETMASK, mask)
     signal_with_parent(END_FAMILY)
     if os.getppid() != above:
         os.kill(child, signal.SIGKILL)

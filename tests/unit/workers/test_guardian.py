@@ -95,6 +95,17 @@ def test_signals_reach_the_worker(number: signal.Signals, expected: int) -> None
 
 
 @pytest.mark.integration
+def test_a_signal_may_come_before_the_guardian_is_ready(monkeypatch: pytest.MonkeyPatch) -> None:
+    slow = "import perfbound.workers.guardian as g, time; g._guard = lambda *a, f=g._guard: (time.sleep(0.5), f(*a))"
+    monkeypatch.setattr(sys.modules[__name__], "BEGIN", f"{slow}{BEGIN}")
+    found = Guarded("daemon(1000)\nprint('there', flush=True)\ntime.sleep(1000)")
+    found.wait_for_line()
+    os.kill(found.process.pid, signal.SIGTERM)
+    assert found.wait() == -signal.SIGTERM
+    assert found.left == 1
+
+
+@pytest.mark.integration
 def test_it_does_not_outlive_the_process_that_started_it(tmp_path: Path) -> None:
     code = f"{BEGIN}daemon(1000)\nprint(os.getpid(), flush=True)\ntime.sleep(1000)"
     parent = f"import subprocess, sys, time; subprocess.Popen([sys.executable, '-c', {code!r}, '1']); time.sleep(1000)"
