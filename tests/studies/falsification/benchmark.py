@@ -28,6 +28,8 @@ class Benchmark:
     """In the language of perfbound."""
     simulate: Callable[[Floats], Rollout]
     """From a point (p,) of the box, in the units of the inputs."""
+    simulate_each: Callable[[Floats], Rollout] | None = None
+    """From points (R, p): columns (R, T), where the model has more than one rollout at once."""
 
     @cached_property
     def parsed(self) -> Formula:
