@@ -1,79 +1,30 @@
 """Simulations to the first counterexample on five systems: ours beside Optuna TPE, random, CMA-ES, dual annealing.
 
 Every search gets the same systems, seeds and budget, asks for one start at a time and ends with the first robustness
-below 0. The peers run in a process of their own environment (`falsification_peers.py`).
+below 0. The searches are those of the study `falsification`, the peers in a process of their own environment.
 
 python -m tests.studies.benchmarks.parts.falsification [SYSTEM ...] prints the table of one run with every peer.
 """
 
-import json
-import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
-from pathlib import Path
-from typing import IO
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tests.studies.benchmarks.parts.failing_systems import SYSTEMS, FailingSystem, share
 from tests.studies.benchmarks.report import Row
+from tests.studies.falsification.searches import Begin, Ours, outcome, peer_process
 
 SEEDS = range(20)
 BUDGET = 1000
 """Simulations after which a search counts as having taken `BUDGET`."""
 RESAMPLES = 10_000
 LEVEL = 0.9
-PEERS = Path(".venv-bench/bin/python")
-
-Floats = NDArray[np.float64]
-Objective = Callable[[Floats], float]
-Search = Callable[[Objective, int, int], None]
-"""(objective, number of parameters, seed): asks for points of the unit box until the objective raises."""
 
 
-class EndError(Exception):
-    """The first counterexample, or the end of the budget."""
-
-
-@dataclass
-class Counter:
-    """An objective that counts its calls and ends the search with the first value below 0."""
-
-    objective: Objective
-    calls: int = 0
-
-    def __call__(self, point: Floats) -> float:
-        """Return the value at a point (p,)."""
-        self.calls += 1
-        value = self.objective(point)
-        if value < 0 or self.calls >= BUDGET:
-            raise EndError
-        return value
-
-
-def simulations(search: Search, system: FailingSystem, seeds: Sequence[int] = SEEDS) -> list[int]:
+def simulations(begin: Begin, system: FailingSystem, seeds: Sequence[int] = SEEDS) -> list[int]:
     """Return the simulations to the first counterexample for each seed, at most `BUDGET`."""
-    found = []
-    for seed in seeds:
-        counter = Counter(system)
-        try:
-            search(counter, system.dimension, seed)
-        except EndError:
-            found.append(counter.calls)
-    return found
-
-
-def ours(objective: Objective, dimension: int, seed: int) -> None:
-    """Our search."""
-    from perfbound.orchestrator.mathematics.search import Falsifier
-
-    search = Falsifier((0.0,) * dimension, (1.0,) * dimension, seed=seed)
-    while True:
-        point = search.propose()
-        search.observe(point, objective(np.array(point)))
+    return [outcome(begin(system.dimension, seed), system, BUDGET).simulations for seed in seeds]
 
 
 def interval(counts: Sequence[int]) -> tuple[float, float]:
@@ -88,43 +39,6 @@ def interval(counts: Sequence[int]) -> tuple[float, float]:
     return float(low), float(high)
 
 
-class PeerProcess:
-    """The process of the peers, which asks for values by lines."""
-
-    def __init__(self, stdin: IO[str], stdout: IO[str]) -> None:
-        self._in, self._out = stdin, stdout
-        self.versions: dict[str, str] = json.loads(stdout.readline())
-
-    def search(self, peer: str) -> Search:
-        """Return a peer as a search."""
-
-        def run(objective: Objective, dimension: int, seed: int) -> None:
-            self._write(json.dumps({"peer": peer, "dimension": dimension, "seed": seed}))
-            try:
-                while True:
-                    self._write(repr(objective(np.array(json.loads(self._out.readline())))))
-            except EndError:
-                self._write("")
-                raise
-
-        return run
-
-    def _write(self, line: str) -> None:
-        self._in.write(line + "\n")
-        self._in.flush()
-
-
-@contextmanager
-def peer_process() -> Iterator[PeerProcess]:
-    """Start the process of the peers, and end it."""
-    command = [str(PEERS), "-m", "tests.studies.benchmarks.parts.falsification_peers"]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdin is not None
-        assert process.stdout is not None
-        yield PeerProcess(process.stdin, process.stdout)
-        process.stdin.close()
-
-
 NAMES = ("random", "Optuna TPE", "Optuna TPE, multivariate", "CMA-ES", "dual annealing")
 
 
@@ -133,14 +47,14 @@ def main(*, alone: bool = False, systems: Sequence[FailingSystem] = SYSTEMS) -> 
     if alone:
         return [row for system in systems for row in _rows(system, {})]
     with peer_process() as peers:
-        searches = {name: peers.search(name) for name in NAMES}
+        searches = {name: peers.begin(name) for name in NAMES}
         return [row for system in systems for row in _rows(system, searches)]
 
 
-def _rows(system: FailingSystem, peers: dict[str, Search]) -> list[Row]:
+def _rows(system: FailingSystem, peers: dict[str, Begin]) -> list[Row]:
     counts = {name: simulations(search, system) for name, search in peers.items()}
     medians = {name: float(np.median(each)) for name, each in counts.items()}
-    mine = simulations(ours, system)
+    mine = simulations(Ours, system)
     name = f"falsification, {system.name} ({system.dimension} parameters)"
     best = min(medians, key=medians.__getitem__, default=None)
     # At most the best peer's, within the bootstrap interval of the peer's median.

@@ -1,12 +1,15 @@
 """The searches that a user would take instead, by question and answer: a point in the unit box out, its value in.
 
-Run in an environment of its own, which has no perfbound: `.venv-bench/bin/python -m tests.studies.benchmarks.
-falsification_peers`. A line on stdin names a peer, the number of parameters and a seed; then every line out is a point
-(JSON) and every line in its value, until the line is empty. What the libraries print goes to stderr.
+Run in an environment of its own, which has no perfbound: `.venv-bench/bin/python -m tests.studies.falsification.peers`.
+A line on stdin names a peer, the number of parameters and a seed; then every line out is the CPU time in s that the
+peer has used since its first point, and a point (JSON), and every line in its value, until the line is empty. What the
+libraries print goes to stderr.
 """
 
 import json
 import sys
+import time
+import warnings
 from collections.abc import Callable
 from contextlib import redirect_stdout
 from importlib.metadata import version
@@ -28,8 +31,14 @@ def optuna_tpe(objective: Objective, dimension: int, seed: int, *, multivariate:
     """Tree-structured Parzen estimator of Optuna, as it comes or with joint densities."""
     import optuna  # type: ignore[import-not-found]
 
+    _ask_and_tell(objective, dimension, optuna.samplers.TPESampler(seed=seed, multivariate=multivariate))
+
+
+def _ask_and_tell(objective: Objective, dimension: int, sampler: Any) -> None:
+    import optuna
+
     optuna.logging.set_verbosity(optuna.logging.ERROR)
-    study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=seed, multivariate=multivariate))
+    study = optuna.create_study(sampler=sampler)
     names = [f"z{axis}" for axis in range(dimension)]
     while True:
         trial = study.ask({name: optuna.distributions.FloatDistribution(0.0, 1.0) for name in names})
@@ -39,6 +48,13 @@ def optuna_tpe(objective: Objective, dimension: int, seed: int, *, multivariate:
 def optuna_tpe_multivariate(objective: Objective, dimension: int, seed: int) -> None:
     """Tree-structured Parzen estimator of Optuna with joint densities."""
     optuna_tpe(objective, dimension, seed, multivariate=True)
+
+
+def optuna_cma_es(objective: Objective, dimension: int, seed: int) -> None:
+    """CMA-ES of Optuna, as it comes: its first start is the middle, and it does not begin again."""
+    import optuna
+
+    _ask_and_tell(objective, dimension, optuna.samplers.CmaEsSampler(seed=seed))
 
 
 def random(objective: Objective, dimension: int, seed: int) -> None:
@@ -71,22 +87,81 @@ def dual_annealing(objective: Objective, dimension: int, seed: int) -> None:
         minimise(objective, [(0.0, 1.0)] * dimension, rng=rng)
 
 
+def turbo(objective: Objective, dimension: int, seed: int) -> None:
+    """TuRBO-1 on BoTorch."""
+    from tests.studies.falsification.turbo import search
+
+    search(objective, dimension, seed)
+
+
+AT_ONCE = 10_000
+"""Samples that an optimiser of psy-taliro may take at most; more than any budget."""
+
+
+class _Evaluated:
+    """What an optimiser of psy-taliro asks for the cost of a sample."""
+
+    def __init__(self, objective: Objective) -> None:
+        self._objective = objective
+
+    def eval_sample(self, sample: Any) -> float:
+        """Return the cost."""
+        return self._objective(sample.values)
+
+    def eval_samples(self, samples: Any) -> list[float]:
+        """Return the costs, one after the other."""
+        return [self.eval_sample(sample) for sample in samples]
+
+
+def taliro_random(objective: Objective, dimension: int, seed: int) -> None:
+    """Uniform random of psy-taliro."""
+    from staliro.optimizers import UniformRandom  # type: ignore[import-not-found]
+
+    _taliro(UniformRandom(), objective, dimension, seed)
+
+
+def taliro_annealing(objective: Objective, dimension: int, seed: int) -> None:
+    """Dual annealing of psy-taliro, which has no local search."""
+    from staliro.optimizers import DualAnnealing
+
+    _taliro(DualAnnealing(), objective, dimension, seed)
+
+
+def _taliro(optimiser: Any, objective: Objective, dimension: int, seed: int) -> None:
+    from staliro.optimizers import Optimizer
+    from staliro.signals import Interval  # type: ignore[import-not-found]
+
+    bounds = [Interval(0.0, 1.0) for _ in range(dimension)]
+    for again in range(AT_ONCE):
+        parameters = Optimizer.Params(seed=seed + 10_000 * again, budget=AT_ONCE, input_bounds=bounds)
+        optimiser.optimize(_Evaluated(objective), parameters)
+
+
 PEERS: dict[str, Callable[[Objective, int, int], None]] = {
     "random": random,
     "Optuna TPE": optuna_tpe,
     "Optuna TPE, multivariate": optuna_tpe_multivariate,
+    "Optuna CMA-ES": optuna_cma_es,
     "CMA-ES": cma_es,
     "dual annealing": dual_annealing,
+    "TuRBO-1": turbo,
+    "psy-taliro, uniform random": taliro_random,
+    "psy-taliro, dual annealing": taliro_annealing,
 }
-PACKAGES = ("optuna", "cma", "scipy", "numpy")
+PACKAGES = ("botorch", "cma", "cmaes", "numpy", "optuna", "psy-taliro", "scipy", "torch")
 
 
 def main() -> None:
     """Answer until stdin ends; the first line out names the versions."""
     answers = sys.stdout
+    begin: float | None = None
 
     def objective(point: Any) -> float:
-        answers.write(json.dumps([float(value) for value in point]) + "\n")
+        nonlocal begin
+        now = time.process_time()
+        begin = now if begin is None else begin  # after the imports
+        used = now - begin
+        answers.write(json.dumps([used, [float(value) for value in point]]) + "\n")
         answers.flush()
         line = sys.stdin.readline()
         if not line.strip():
@@ -95,9 +170,10 @@ def main() -> None:
 
     answers.write(json.dumps({name: version(name) for name in PACKAGES}) + "\n")
     answers.flush()
+    warnings.simplefilter("ignore")  # of experimental functions, and of fits that are repeated
     with redirect_stdout(sys.stderr):
         for line in iter(sys.stdin.readline, ""):
-            asked = json.loads(line)
+            asked, begin = json.loads(line), None
             try:
                 PEERS[asked["peer"]](objective, asked["dimension"], asked["seed"])
             except EndError:
