@@ -22,7 +22,7 @@ Deviation: the fixed step of 0.01 s is one of Runge and Kutta of order 4 instead
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache, partial
 from typing import NamedTuple
 
@@ -181,7 +181,7 @@ class Drivetrain:
         self.rpm = choose(rpm < 600.0, 600.0, choose(rpm > 6000.0, 6000.0, rpm))
         self.wheel = wheel + h / 6 * (w1 + 2 * (w2 + w3) + w4)
 
-    def _rates(self, throttle: Number, brake: Number):  # type: ignore[no-untyped-def]
+    def _rates(self, throttle: Number, brake: Number) -> Callable[[Number, Number], tuple[Number, Number]]:
         """Return (N, w) -> (dN/dt, dw/dt) with these inputs and the present gear."""
         piece, choose, tables = self._numbers.piece, self._numbers.choose, self._tables
         ratio = tables.gear[piece(self.gear - 1.0, 3)]
