@@ -10,9 +10,17 @@ import pytest
 from perfbound.orchestrator.mathematics.stl.robustness import robustness
 
 from .benchmark import Benchmark, Floats
-from .models import fighter_tables, fuel_control, ground_collision, input_signals, pacemaker, steam_condenser
+from .models import (
+    fighter_tables,
+    fuel_control,
+    ground_collision,
+    input_signals,
+    levitation,
+    pacemaker,
+    steam_condenser,
+)
 
-MODELS = (fuel_control, ground_collision, pacemaker, steam_condenser)
+MODELS = (fuel_control, ground_collision, levitation, pacemaker, steam_condenser)
 ALL = [benchmark for model in MODELS for benchmark in model.BENCHMARKS]
 
 
@@ -143,3 +151,22 @@ def test_the_autopilot_rolls_and_then_pulls_to_a_climb() -> None:
     # The reference implementation of the benchmark, from roll 0.638, pitch -1.137 and yaw -1.026, turns at 2055.5 ft.
     _, known = ground_collision.simulate(np.array([0.638, -1.137, -1.026]), altitude=4040.0)
     assert known["altitude"].min() == pytest.approx(2055.5, abs=5.0)
+
+
+def test_a_magnet_rests_where_its_current_carries_it() -> None:
+    """Position 15 i^2 / (3 * 9.8)."""
+    position, velocity = levitation.fallen(5.0 * 1.4**2 / 9.8, 0.0, 1.4)
+    assert (position, velocity) == pytest.approx((1.0, 0.0), abs=1e-12)
+    # A falling magnet gains speed up to g M / beta.
+    position, velocity = 100.0, 0.0
+    for _ in range(500):
+        position, velocity = levitation.fallen(position, velocity, 0.0)
+    assert velocity == pytest.approx(-9.8 / 4.0, rel=1e-6)
+
+
+def test_the_neural_controller_holds_the_magnet_near_its_reference() -> None:
+    times, columns = levitation.simulate(np.array([3.0, 1.5, 2.5]))
+    settled = (times % (40.0 / 3)) > 5.0
+    away = np.abs(columns["position"] - columns["reference"])
+    assert away[settled].max() < 0.03
+    assert columns["current"][-1] == pytest.approx(math.sqrt(columns["position"][-1] * 9.8 / 5.0), abs=0.01)
