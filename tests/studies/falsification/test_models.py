@@ -65,6 +65,19 @@ def test_the_condenser_starts_at_its_published_operating_point() -> None:
     assert steam_condenser.rates(steam_condenser.START, 4.0, 90.0)[:2] == pytest.approx((0.0, 0.0), abs=2e-3)
 
 
+def test_the_condenser_fails_under_its_worst_switching_input_alone() -> None:
+    """By some 0.002 kPa, as under the published counterexamples; the input follows from the impulse response."""
+    times = input_signals.every(steam_condenser.STEP, steam_condenser.END)
+    calm = np.full(len(times), 4.0)
+    pushed = calm.copy()
+    pushed[100] += 0.1
+    at_rest, answer = (steam_condenser.rollout(steam, times)[1]["pressure"] for steam in (calm, pushed))
+    worst = np.where(np.append((answer - at_rest)[:100:-1], np.zeros(101)) > 0.0, 4.01, 3.99)
+    requirement = steam_condenser.BENCHMARKS[0]
+    assert -0.01 < score(requirement, *steam_condenser.rollout(worst, times)) < 0.0
+    assert score(requirement, *steam_condenser.rollout(calm, times)) > 0.2
+
+
 @pytest.mark.parametrize(("rate", "pulses"), [(50.0, 8), (60.0, 10), (90.0, 14)])
 def test_the_pacemaker_paces_at_a_constant_limit(rate: float, pulses: int) -> None:
     _, columns = pacemaker.simulate(np.full(5, rate), knots=True)

@@ -5,7 +5,10 @@ for Control Systems with Machine Learning Components" (HSCC 2019), with its tabl
 trained network of that paper, 3 units; its 34 weights are data of the competition's model file, which repositories
 under the MIT licence hold. Own code; RK4 with 0.05 s where the competition has a variable step of at most 0.1 s.
 
-Instance 1 here: linear between 20 knots. Instance 2: 20 values, each held for 1.75 s.
+Instance 1 here: linear between 141 knots, one each 0.25 s. The known counterexamples of the competition switch about
+100 times from one end of the range to the other and pass 87.5 kPa by 0.002; from the impulse response of this model,
+at least 87.501 kPa is possible with 141 knots, and 87.482 with 36. Instance 2: 20 values, each held for 1.75 s, with
+which zlscheck found none in 15,000 simulations (2020), and 87.480 seems the most.
 """
 
 import math
@@ -19,7 +22,8 @@ from .input_signals import every, held, linear
 END = 35.0
 """s."""
 STEP = 0.05
-KNOTS = 20
+KNOTS = 141
+SEGMENTS = 20
 FORMULA = "always[30,35] (pressure >= 87 and pressure <= 87.5)"
 
 VOLUME = 3.0
@@ -154,6 +158,6 @@ def simulate(point: Floats, *, knots: bool) -> Rollout:
 
 
 BENCHMARKS = tuple(
-    Benchmark("SC", instance, (3.99,) * KNOTS, (4.01,) * KNOTS, FORMULA, partial(simulate, knots=instance == 1))
-    for instance in (1, 2)
+    Benchmark("SC", instance, (3.99,) * values, (4.01,) * values, FORMULA, partial(simulate, knots=instance == 1))
+    for instance, values in ((1, KNOTS), (2, SEGMENTS))
 )
