@@ -18,9 +18,10 @@ from .models import (
     levitation,
     pacemaker,
     steam_condenser,
+    wind_turbine,
 )
 
-MODELS = (fuel_control, ground_collision, levitation, pacemaker, steam_condenser)
+MODELS = (fuel_control, ground_collision, levitation, pacemaker, steam_condenser, wind_turbine)
 ALL = [benchmark for model in MODELS for benchmark in model.BENCHMARKS]
 
 
@@ -183,3 +184,45 @@ def test_the_neural_controller_holds_the_magnet_near_its_reference() -> None:
     away = np.abs(columns["position"] - columns["reference"])
     assert away[settled].max() < 0.03
     assert columns["current"][-1] == pytest.approx(math.sqrt(columns["position"][-1] * 9.8 / 5.0), abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("wind", "rpm", "pitch"), [(8.0, 9.156, 0.0), (11.0, 11.890, 0.0), (13.0, 12.1, 6.60), (16.0, 12.1, 12.06)]
+)
+def test_the_turbine_settles_at_the_published_speed_and_pitch(wind: float, rpm: float, pitch: float) -> None:
+    """The pitch of NREL/TP-500-38060, table 7-1; our fit of the aerodynamics leaves 0.1 rpm and 0.2 degrees."""
+    speed, angle = wind_turbine.steady(wind)
+    assert speed * 30.0 / math.pi == pytest.approx(rpm, abs=0.1)
+    assert math.degrees(angle) == pytest.approx(pitch, abs=0.2)
+
+
+def test_the_turbine_stays_in_its_steady_state() -> None:
+    times = input_signals.every(wind_turbine.STEP, 60.0)
+    for wind in (9.0, 11.3, 15.0):
+        _, columns = wind_turbine.rollout(np.full(len(times), wind), times)
+        for name in ("pitch", "rotor_rpm", "torque"):
+            assert columns[name] == pytest.approx(columns[name][0], rel=1e-6, abs=1e-9)
+
+
+def test_the_torque_of_the_turbine_has_no_jump_between_its_regions() -> None:
+    """The published transitions: 43.09 kN m at the rated speed, and the squared law up to 119 rad/s."""
+    assert wind_turbine.demanded_torque(wind_turbine.RATED_SPEED, 0.1) == pytest.approx(43_093.55, rel=1e-4)
+    for speed in (
+        wind_turbine.CUT_IN,
+        wind_turbine.FULL_TRACKING,
+        wind_turbine.TRACKED,
+        wind_turbine.RATED_TORQUE_SPEED,
+    ):
+        below, above = (wind_turbine.demanded_torque(speed + small, 0.0) for small in (-1e-9, 1e-9))
+        assert below == pytest.approx(above, abs=1e-3)
+
+
+def test_an_oscillator_follows_its_equation() -> None:
+    """A small step has the acceleration w^2 (u - x) - 2 d w x', and all energy is gone in the end."""
+    x, rate = 0.3, -0.2
+    for _ in range(400):
+        x, rate = wind_turbine.BLADES.moved(x, rate, 1.0)
+    assert (x, rate) == pytest.approx((1.0, 0.0), abs=1e-9)
+    a, b, c, d = wind_turbine.TOWER.matrix
+    decay = math.exp(-2.0 * wind_turbine.TOWER_DAMPING * wind_turbine.TOWER_FREQUENCY * wind_turbine.STEP)
+    assert a * d - b * c == pytest.approx(decay)
