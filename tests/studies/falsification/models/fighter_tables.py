@@ -4,6 +4,8 @@
 the aerodynamic tables: angle of attack from -10 to 45 degrees in steps of 5.
 """
 
+import math
+
 import numpy as np
 
 from ..benchmark import Floats
@@ -181,34 +183,39 @@ _PITCHING, _ROLLING, _YAWING, _AILERON_ROLL, _RUDDER_ROLL = 5, 10, 17, 24, 31
 _AILERON_YAW, _RUDDER_YAW, _DAMPING, _NORMAL = 38, 45, 52, 61
 
 
+def _column(place: float, last: int) -> tuple[int, float]:
+    """Return the column before a place in units of columns, and how far beyond it the place is."""
+    column = min(max(math.floor(place), 0), last)
+    return column, place - column
+
+
 def coefficients(attack: float, sideslip: float, elevator: float) -> tuple[Row, Row, Row]:
     """Return the coefficients of force and moment without damping, those of the surfaces, and the nine of damping.
 
     Angles in degrees; linear between the rows and columns of the tables, and beyond their ends. The first are those of
     the axes x and z, then rolling, pitching and yawing; the second rolling and yawing by aileron, then by rudder.
     """
-    place = 0.2 * attack + 2.0
-    row = min(max(int(place // 1), 0), 10)
-    at: Row = (BY_ATTACK[row] + (place - row) * _SLOPES[row]).tolist()
-
-    def between(first: int, place: float, last: int) -> float:
-        column = min(max(int(place // 1), 0), last)
-        low = at[first + column]
-        return low + (place - column) * (at[first + column + 1] - low)
-
-    by_elevator, by_sideslip = elevator / 12.0 + 2.0, 0.1 * sideslip + 3.0
-    magnitude, sign = 0.2 * abs(sideslip), 1.0 if sideslip >= 0.0 else -1.0
-    return (
-        [
-            between(0, by_elevator, 3),
-            at[_NORMAL] * (1.0 - (sideslip / 57.3) ** 2) - 0.19 * elevator / 25.0,
-            sign * between(_ROLLING, magnitude, 5),
-            between(_PITCHING, by_elevator, 3),
-            sign * between(_YAWING, magnitude, 5),
-        ],
-        [between(first, by_sideslip, 5) for first in (_AILERON_ROLL, _AILERON_YAW, _RUDDER_ROLL, _RUDDER_YAW)],
-        at[_DAMPING:_NORMAL],
-    )
+    row, along = _column(0.2 * attack + 2.0, 10)
+    at: Row = (BY_ATTACK[row] + along * _SLOPES[row]).tolist()
+    # Written out, because a rollout reads the tables 1,800 times.
+    k, part = _column(elevator / 12.0 + 2.0, 3)
+    axial = at[k] + part * (at[k + 1] - at[k])
+    k += _PITCHING
+    pitching = at[k] + part * (at[k + 1] - at[k])
+    k, part = _column(0.2 * abs(sideslip), 5)
+    k += _ROLLING
+    rolling = at[k] + part * (at[k + 1] - at[k])
+    k += _YAWING - _ROLLING
+    yawing = at[k] + part * (at[k + 1] - at[k])
+    if sideslip < 0.0:
+        rolling, yawing = -rolling, -yawing
+    k, part = _column(0.1 * sideslip + 3.0, 5)
+    surfaces = [
+        at[first + k] + part * (at[first + k + 1] - at[first + k])
+        for first in (_AILERON_ROLL, _AILERON_YAW, _RUDDER_ROLL, _RUDDER_YAW)
+    ]
+    normal = at[_NORMAL] * (1.0 - (sideslip / 57.3) ** 2) - 0.19 * elevator / 25.0
+    return [axial, normal, rolling, pitching, yawing], surfaces, at[_DAMPING:_NORMAL]
 
 
 def thrust(power: float, altitude: float, mach: float) -> float:

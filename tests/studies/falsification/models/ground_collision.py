@@ -77,10 +77,10 @@ def limited(value: float, limit: float) -> float:
 def surfaces(state: State) -> tuple[float, float, float]:
     """Return elevator, aileron and rudder in degrees, which the inner loop demands."""
     _, attack, sideslip, _, _, _, p, q, r, _, _, load, rolled, side = state
-    lateral = (sideslip, p, r, rolled, side)
     elevator = LONGITUDINAL[0] * (attack - TRIM_ATTACK) + LONGITUDINAL[1] * q + LONGITUDINAL[2] * load
-    aileron = sum([gain * x for gain, x in zip(TO_AILERON, lateral, strict=True)])
-    rudder = sum([gain * x for gain, x in zip(TO_RUDDER, lateral, strict=True)])
+    (a1, a2, a3, a4, a5), (r1, r2, r3, r4, r5) = TO_AILERON, TO_RUDDER
+    aileron = a1 * sideslip + a2 * p + a3 * r + a4 * rolled + a5 * side
+    rudder = r1 * sideslip + r2 * p + r3 * r + r4 * rolled + r5 * side
     return (
         limited(TRIM_ELEVATOR - elevator, ELEVATOR_LIMIT),
         limited(-aileron, AILERON_LIMIT),
