@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from perfbound.orchestrator.mathematics.stl.robustness import robustness
-
-from .benchmark import Benchmark, Floats
-from .models import (
+from tests.studies.falsification.benchmark import Benchmark, Floats
+from tests.studies.falsification.models import (
     fighter_tables,
     fuel_control,
     ground_collision,

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from ..benchmark import Floats
+from tests.studies.falsification.benchmark import Floats
 
 ELEVATOR = (-24.0, -12.0, 0.0, 12.0, 24.0)
 """Degrees, of `AXIAL` and `PITCHING`."""

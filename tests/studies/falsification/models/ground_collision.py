@@ -14,9 +14,9 @@ from functools import partial
 
 import numpy as np
 
-from ..benchmark import Benchmark, Floats, Rollout
-from .fighter_tables import coefficients, thrust
-from .input_signals import every
+from tests.studies.falsification.benchmark import Benchmark, Floats, Rollout
+from tests.studies.falsification.models.fighter_tables import coefficients, thrust
+from tests.studies.falsification.models.input_signals import every
 
 END = 15.0
 """s."""

@@ -12,8 +12,8 @@ Instance 1 here: 12 references, each held for 3.3 s, since the competition wants
 
 import numpy as np
 
-from ..benchmark import Benchmark, Floats, Rollout
-from .input_signals import every, held
+from tests.studies.falsification.benchmark import Benchmark, Floats, Rollout
+from tests.studies.falsification.models.input_signals import every, held
 
 END = 40.0
 """s."""

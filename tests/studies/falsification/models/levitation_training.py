@@ -10,8 +10,8 @@ import sys
 import numpy as np
 from scipy.optimize import least_squares
 
-from ..benchmark import Floats
-from .levitation import AHEAD, CURRENTS, UNITS, fallen, scaled
+from tests.studies.falsification.benchmark import Floats
+from tests.studies.falsification.models.levitation import AHEAD, CURRENTS, UNITS, fallen, scaled
 
 SAMPLES = 3000
 EVALUATIONS = 300

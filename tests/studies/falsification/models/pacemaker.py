@@ -4,16 +4,16 @@ The state machine of the model "Model1_Scenario1_Correct" (Mehan et al., McMaste
 Scientific's pacemaker specification), in the mode AOO that its constant input selects; own code. Left out: the other
 modes and the pins of the hardware, which do not reach the counter.
 
-No input can violate the requirement here: every beat takes from 0.667 to 1.2 s. Uniform random search found none in
-the competition either. Instance 1 here: linear between 5 knots. Instance 2: 5 values, each held for 2 s.
+No input can violate the requirement here: every beat takes from 0.667 to 1.2 s, so there are from 8 to 15 in 10 s.
+FalCAuN found no failure in the competition of 2024 either. Instance 1 here: linear between 5 knots. Instance 2: 5 values, each held for 2 s.
 """
 
 from functools import partial
 
 import numpy as np
 
-from ..benchmark import Benchmark, Floats, Rollout
-from .input_signals import held, linear
+from tests.studies.falsification.benchmark import Benchmark, Floats, Rollout
+from tests.studies.falsification.models.input_signals import held, linear
 
 END = 10.0
 """s."""

@@ -16,8 +16,8 @@ from functools import partial
 
 import numpy as np
 
-from ..benchmark import Benchmark, Floats, Rollout
-from .input_signals import every, held, linear
+from tests.studies.falsification.benchmark import Benchmark, Floats, Rollout
+from tests.studies.falsification.models.input_signals import every, held, linear
 
 END = 35.0
 """s."""
