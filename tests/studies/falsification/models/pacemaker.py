@@ -5,7 +5,8 @@ Scientific's pacemaker specification), in the mode AOO that its constant input s
 modes and the pins of the hardware, which do not reach the counter.
 
 No input can violate the requirement here: every beat takes from 0.667 to 1.2 s, so there are from 8 to 15 in 10 s.
-FalCAuN found no failure in the competition of 2024 either. Instance 1 here: linear between 5 knots. Instance 2: 5 values, each held for 2 s.
+FalCAuN found no failure in the competition of 2024 either. Instance 1 here: linear between 5 knots. Instance 2: 5
+values, each held for 2 s.
 """
 
 from functools import partial
