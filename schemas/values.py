@@ -22,6 +22,8 @@ FORMULA_WORDS = frozenset(
     }
 )
 """Words of specifications, which name no column."""
+Beyond = Literal["refuse", "truncate"]
+"""A window beyond the end of a trajectory: the formula is refused, or the window has the samples that are there."""
 DISCRETE = "discrete"
 """Unit of a column whose values are whole numbers, such as a gear: specifications compare it with == and !=."""
 StoppedBy = Literal["converged", "budget", "refuted", "counterexample"]

@@ -22,13 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....schemas.instants import reached
+from ....schemas.values import Beyond
 from .errors import FormulaError
 from .horizon import check_horizon
 from .text import excerpt
 from .tree import (
     REST,
     STEP_BACK,
-    Beyond,
     Edge,
     Formula,
     Next,
@@ -265,7 +265,6 @@ class OtherReading(Grid):
 
 def _outside(windows: Windows, of: Span, beyond: Beyond) -> Flags:
     """Return which windows are before the start, or where they are cut beyond the end."""
-    if of.past:
-        return windows.stop == 0
-    found: Flags = windows.first == len(windows.first) if beyond == "truncate" else np.zeros_like(windows.empty)
+    end = len(windows.first) if beyond == "truncate" else -1
+    found: Flags = windows.stop == 0 if of.past else windows.first == end
     return found

@@ -152,7 +152,7 @@ def unexpected(token: FormulaToken) -> str:
     """Return why no phrase begins with `token`."""
     if token.text in {",", "[", "]", "inf"}:
         index = "; a column has no index" if token.text == "[" else ""
-        return f"an interval [a,b] or [a,inf) is written right after always, until, once or another operator over time{index}"
+        return f"an interval [a,b] or [a,inf) is written right after always, until or another operator over time{index}"
     if token.kind == "end":
         return "the formula is not complete"
     misspelled = token.kind == "word" and token.text not in FORMULA_WORDS

@@ -72,9 +72,10 @@ def _check(tree: Formula, latest: float, end: tuple[float, float], unbounded: Ah
         if reach > last:
             raise FormulaError(_reason(tree, reach, duration, unbounded))
         latest, unbounded = (reach, unbounded) if tree.interval.bounded else (duration, tree)
+    ago = tree.interval.low if isinstance(tree, Behind) else 0.0
     for operand in operands(tree):
-        earlier = isinstance(tree, Behind) and not (isinstance(tree, Since) and operand is tree.left)
-        _check(operand, latest - tree.interval.low if earlier else latest, end, unbounded)
+        now = isinstance(tree, Since) and operand is tree.left
+        _check(operand, latest if now else latest - ago, end, unbounded)
 
 
 def _last(interval: Interval) -> float:

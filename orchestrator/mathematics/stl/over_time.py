@@ -18,6 +18,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ....schemas.values import Beyond
 from . import sliding
 from .grid import Grid, Windows
 from .predicates import Floats, Signals
@@ -26,7 +27,6 @@ from .tree import (
     STEP_BACK,
     Always,
     And,
-    Beyond,
     Comparison,
     Edge,
     Eventually,

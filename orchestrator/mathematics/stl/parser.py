@@ -69,9 +69,14 @@ from .tree import (
 __all__ = ["Formula", "FormulaError", "columns", "parse_formula"]
 
 _UNTIL: dict[str, Reading] = {"until": "standard", "until_from": "paper"}
-_OVER = {"always": Always, "eventually": Eventually, "historically": Historically, "once": Once}
-_PLAIN = {"not": Not, "next": Next, "previous": Previous}
-_EDGES = {"rise": Rise, "fall": Fall}
+_OVER: dict[str, Callable[[Formula, Interval], Formula]] = {
+    "always": Always,
+    "eventually": Eventually,
+    "historically": Historically,
+    "once": Once,
+}
+_PLAIN: dict[str, Callable[[Formula], Formula]] = {"not": Not, "next": Next, "previous": Previous}
+_EDGES: dict[str, Callable[[Formula], Formula]] = {"rise": Rise, "fall": Fall}
 
 
 def parse_formula(text: str, known: Collection[str] | None = None) -> Formula:
@@ -267,7 +272,7 @@ class _Grammar:
         opened = self._cursor.token
         if not self._cursor.take("("):
             raise self._cursor.error(f"'(' expected; {remedy}")
-        found = []
+        found: list[tuple[Node, FormulaToken]] = []
         with self._cursor.nested():
             while not found or (several and self._cursor.take(",")):
                 start = self._cursor.token

@@ -235,7 +235,8 @@ def _sound(predicate: Comparison, margins: Floats) -> NDArray[np.bool_]:
     """Return where a margin is a finite number, and of == and != one between whole numbers."""
     found = np.isfinite(margins)
     if predicate.operator in {"==", "!="}:
-        found &= np.mod(margins + HALF, 1.0) == 0.0
+        with np.errstate(invalid="ignore"):  # of what is not finite
+            found &= np.mod(margins + HALF, 1.0) == 0.0
     return found
 
 

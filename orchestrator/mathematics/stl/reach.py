@@ -9,13 +9,13 @@ from collections.abc import Callable
 from functools import partial, reduce
 from itertools import product
 
+from ....schemas.values import Beyond
 from .predicates import HALF
 from .tree import (
     Absolute,
     Always,
     And,
     Arithmetic,
-    Beyond,
     Column,
     Comparison,
     Eventually,

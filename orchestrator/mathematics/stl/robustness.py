@@ -24,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ....schemas.values import Beyond
 from . import sliding
 from .errors import FormulaError
 from .grid import Grid, OtherReading, Windows
@@ -33,7 +34,6 @@ from .tree import (
     STEP_BACK,
     Always,
     And,
-    Beyond,
     Comparison,
     Eventually,
     Fall,
@@ -255,7 +255,7 @@ class _Reader:
                 return self._maximum(self.margins(operand), span(tree))
             case Until(left, right) | Since(left, right):
                 sides = zip(self.margins(left), self.margins(right), self._readings, strict=True)
-                return tuple(_until(tree, *each, maxima.windows(span(tree))) for *each, (_, maxima) in sides)
+                return tuple(_until(tree, one, other, maxima.windows(span(tree))) for one, other, (_, maxima) in sides)
             case Rise(operand):
                 return self._change(self.margins(operand))
             case Fall(operand):

@@ -8,8 +8,6 @@ from typing import Literal, get_args
 ArithmeticOperator = Literal["+", "-", "*", "/", "^"]
 FunctionName = Literal["max", "min", "sqrt", "sin", "cos", "tan", "exp", "log"]
 Comparator = Literal["<=", ">=", "<", ">", "==", "!="]
-Beyond = Literal["refuse", "truncate"]
-"""A window beyond the end of a trajectory: the formula is refused, or the window has the samples that are there."""
 Reading = Literal["standard", "paper"]
 """Semantics of the left operand of `until`: from now on, or from the start of the interval on as in [ARA]."""
 

@@ -14,13 +14,14 @@ from hypothesis import strategies as st
 
 from perfbound.orchestrator.mathematics.stl import tree as stl
 from perfbound.orchestrator.mathematics.stl.grid import Grid
+from perfbound.orchestrator.mathematics.stl.horizon import horizon
 from perfbound.orchestrator.mathematics.stl.over_time import robustness_signal, worst_moment
 from perfbound.orchestrator.mathematics.stl.parser import FormulaError, parse_formula
 from perfbound.orchestrator.mathematics.stl.predicates import Signals
 from perfbound.orchestrator.mathematics.stl.reach import reach
 from perfbound.orchestrator.mathematics.stl.robustness import evaluated, evaluated_each, margins_at_samples, robustness
 from perfbound.orchestrator.mathematics.stl.text import text
-from perfbound.schemas.values import FORMULA_WORDS
+from perfbound.schemas.values import FORMULA_WORDS, Beyond
 
 PAGE = Path(__file__).parents[4] / "docs" / "stl.md"
 TRACES = 300
@@ -98,7 +99,7 @@ class Naive:
                 now = {stl.Previous: 0, stl.Rise: 1, stl.Fall: -1}[type(tree)]
                 found = before * parts[0](k - 1) if k else -math.inf
                 found = min(found, now * parts[0](k)) if now else found
-        return found
+        return float(found)
 
     def _next(self, part: Callable[[int], float], k: int) -> float:
         if k + 1 < len(self.t):
@@ -164,11 +165,27 @@ def draw_trace(rng: random.Random, names: tuple[str, ...], duration: float, most
     ]
 
 
-def compare(tree: stl.Formula, trace: Trace, beyond: stl.Beyond) -> bool:
+def check_reach(tree: Any, latest: float, naive: Naive) -> None:
+    """The rule about the end of the trajectory, for `tree` that is read until `latest`."""
+    if isinstance(tree, stl.Ahead):
+        low, high = tree.interval.low, tree.interval.high
+        latest += high if tree.interval.bounded else low
+        if latest > naive.t[-1] + naive.slack[-1] + 1e-9:
+            raise RefusedError
+        latest = latest if tree.interval.bounded else naive.t[-1]
+    for part in stl.operands(tree):
+        ago = tree.interval.low if isinstance(tree, stl.Behind) else 0.0
+        check_reach(part, latest - (0.0 if isinstance(tree, stl.Since) and part is tree.left else ago), naive)
+
+
+def compare(tree: stl.Formula, trace: Trace, beyond: Beyond) -> bool:
     """Compare with the definition; return whether it gives a number."""
     names, samples = tuple(trace[0]), rows(trace)
+    naive = Naive(trace, truncate=beyond == "truncate")
     try:
-        expected = Naive(trace, truncate=beyond == "truncate").of(tree, 0)
+        if beyond == "refuse":
+            check_reach(tree, 0.0, naive)
+        expected = naive.of(tree, 0)
     except RefusedError:
         expected = math.inf
     if math.isinf(expected):
@@ -178,7 +195,7 @@ def compare(tree: stl.Formula, trace: Trace, beyond: stl.Beyond) -> bool:
     found = evaluated(tree, names, samples, beyond)
     assert found.robustness == pytest.approx(expected, rel=1e-12, abs=1e-12), (text(tree), trace)
     each = evaluated_each(tree, names, samples[:, 0], samples[:, 1:, None].transpose(1, 2, 0), beyond)
-    assert (each.robustness[0], each.by_tolerance[0]) == found
+    assert (each.robustness.item(), each.by_tolerance.item()) == (found.robustness, found.by_tolerance)
     low, high = reach(tree, beyond)
     assert low <= found.robustness <= high, text(tree)
     return True
@@ -187,7 +204,7 @@ def compare(tree: stl.Formula, trace: Trace, beyond: stl.Beyond) -> bool:
 # ---- Published requirements, see docs/stl.md. Their intervals are shortened where a trace would need many samples.
 
 
-def published() -> Iterator[tuple[str, str]]:
+def published() -> Iterator[tuple[str, Beyond]]:
     """Yield (formula, `beyond`) of each row of the table in the documentation."""
     table = PAGE.read_text(encoding="utf-8").partition("## Published requirements")[2].partition("\n## ")[0]
     for row in re.findall(r"^\|[^|]+\|[^`]*`([^`]+)`([^|]*)\|$", table, re.MULTILINE):
@@ -206,29 +223,28 @@ def test_published_requirements_equal_the_definition() -> None:
         tree = parse_formula(formula, {name: unit for name, unit in known.items() if name not in FORMULA_WORDS})
         names = ("t", *sorted(stl.columns(tree)))
         shorter = _shortened(tree)
-        duration = max((node.interval.high for node in stl.walk(shorter) if _bounded(node)), default=4.0)
+        ends = [4.0, horizon(shorter), *(each.high for each in _intervals(shorter))]
+        duration = max(end for end in ends if math.isfinite(end))
         defined, drawn = 0, 0
         while defined < TRACES:
             drawn += 1
             assert drawn < 40 * TRACES, (formula, defined)
-            lasting = duration * (rng.uniform(0.8, 1.5) if beyond == "truncate" else rng.uniform(1.0, 2.5))
+            lasting = duration * (rng.uniform(0.7, 1.0) if beyond == "truncate" else rng.uniform(1.0, 2.5))
             trace = draw_trace(rng, names, lasting)
             for sample in trace:
                 sample |= {name: float(rng.randint(0, 1)) for name in names if name in UNITS_OF_PUBLISHED}
-            defined += compare(shorter, trace, beyond)  # type: ignore[arg-type]
+            defined += compare(shorter, trace, beyond)
 
 
-def _bounded(node: stl.Node) -> bool:
-    return isinstance(node, stl.Timed) and node.interval.bounded
+def _intervals(tree: stl.Formula) -> Iterator[stl.Interval]:
+    return (node.interval for node in stl.walk(tree) if isinstance(node, stl.Timed))
 
 
 def _shortened(tree: Any) -> Any:
     """Return a formula with the lengths of its intervals pulled together: 0.05 and 50 s become 2 and 9."""
     if isinstance(tree, stl.Interval):
-        ends = [
-            0.0 if end == 0 else end if math.isinf(end) else 1 + math.log(1 + 20 * end) for end in (tree.low, tree.high)
-        ]
-        return stl.Interval(*ends, tree.low_open, tree.high_open)
+        low, high = (0.0 if end == 0 else 1 + math.log(1 + 20 * end) for end in (tree.low, min(tree.high, 1e9)))
+        return stl.Interval(low, high if tree.bounded else math.inf, tree.low_open, tree.high_open)
     if isinstance(tree, stl.Comparison) or not hasattr(tree, "__dataclass_fields__"):
         return tree
     return type(tree)(*(_shortened(getattr(tree, name)) for name in tree.__dataclass_fields__))
@@ -247,8 +263,8 @@ def draw_interval(rng: random.Random, length: float) -> stl.Interval:
     return stl.Interval(low, high, *opened)
 
 
-PREDICATES = ("x <= 0.5", "y > x", "max(x, y, 0.3) >= 1", "sin(x) + cos(y) < exp(y)", "sqrt(abs(x)) < 1", "gear == 2")
-PREDICATES += ("gear != 1", "-1 < x <= y", "log(abs(x) + 1) <= tan(0.5)", "min(x, -y) < 0")
+PREDICATES = ["x <= 0.5", "y > x", "max(x, y, 0.3) >= 1", "sin(x) + cos(y) < exp(y)", "sqrt(abs(x)) < 1", "gear == 2"]
+PREDICATES += ["gear != 1", "-1 < x <= y", "log(abs(x) + 1) <= tan(0.5)", "min(x, -y) < 0"]
 
 
 def draw_formula(rng: random.Random, depth: int, length: float) -> stl.Formula:
@@ -266,7 +282,7 @@ def draw_formula(rng: random.Random, depth: int, length: float) -> stl.Formula:
 
 @pytest.mark.rest
 @pytest.mark.parametrize("beyond", ["refuse", "truncate"])
-def test_random_formulas_equal_the_definition(beyond: stl.Beyond) -> None:
+def test_random_formulas_equal_the_definition(beyond: Beyond) -> None:
     rng, defined, refused = random.Random(7), 0, 0
     while defined < 1500:
         length = rng.choice([1.0, 10.0, 0.3])
@@ -288,7 +304,8 @@ def case(seed: int) -> tuple[random.Random, stl.Formula, Trace]:
 
 
 def at_samples(tree: stl.Formula, samples: np.ndarray[Any, np.dtype[np.float64]]) -> list[float]:
-    return margins_at_samples(tree, Signals(tuple(UNITS), samples), Grid(samples[:, 0], "truncate")).tolist()
+    found = margins_at_samples(tree, Signals(tuple(UNITS), samples), Grid(samples[:, 0], "truncate"))
+    return [float(each) for each in found]
 
 
 MIRRORED: dict[type, type] = {stl.Always: stl.Historically, stl.Eventually: stl.Once, stl.Until: stl.Since}
@@ -332,7 +349,7 @@ def test_dualities(seed: int) -> None:
 
 
 @given(seeds, st.sampled_from(["refuse", "truncate"]))
-def test_the_signal_and_the_moment_fit_the_robustness(seed: int, beyond: stl.Beyond) -> None:
+def test_the_signal_and_the_moment_fit_the_robustness(seed: int, beyond: Beyond) -> None:
     _, tree, trace = case(seed)
     samples = rows(trace)
     try:
@@ -355,7 +372,7 @@ def test_the_signal_and_the_moment_fit_the_robustness(seed: int, beyond: stl.Bey
 # ---- Numbers that a person can check.
 
 
-def of(formula: str, *x: float, beyond: stl.Beyond = "refuse", gear: tuple[float, ...] = ()) -> float:
+def of(formula: str, *x: float, beyond: Beyond = "refuse", gear: tuple[float, ...] = ()) -> float:
     samples = np.array([[float(k), v, 0.0, (gear or (0.0,) * len(x))[k]] for k, v in enumerate(x)])
     return robustness(parse_formula(formula, UNITS), tuple(UNITS), samples, beyond)
 
