@@ -333,6 +333,11 @@ class SystemSpec(Model, metaclass=Written):
         names = tuple(column.name for column in self.columns)
         return names if self.after_end is None else names[:-1]
 
+    @property
+    def units(self) -> dict[str, str]:
+        """The unit of each column, by its name."""
+        return {column.name: column.unit for column in self.columns}
+
     def with_said(self, stamps: Stamps | None, after_end: AfterEnd | None) -> "SystemSpec":
         """Return the system with what a campaign file says of its times and early ends, if it says something.
 

@@ -13,8 +13,19 @@ Stamps = Literal["exact", "float32", "accumulated"]
 SampledQuantity = Literal["failure_probability", "quantile", "cvar", "mean", "risk", "share_of_starts", "next_rollout"]
 """The subject of a claim about drawn starts."""
 DistributionName = Literal["uniform", "normal", "lognormal", "triangular", "weibull"]
-FORMULA_WORDS = frozenset({"not", "always", "eventually", "until", "until_from", "and", "or", "implies", "abs", "inf"})
+FORMULA_FUNCTIONS = ("abs", "max", "min", "sqrt", "sin", "cos", "tan", "exp", "log")
+FORMULA_WORDS = frozenset(
+    {
+        *("not", "and", "or", "implies", "inf", *FORMULA_FUNCTIONS),
+        *("always", "eventually", "until", "until_from", "next"),
+        *("historically", "once", "since", "previous", "rise", "fall"),
+    }
+)
 """Words of specifications, which name no column."""
+Beyond = Literal["refuse", "truncate"]
+"""A window beyond the end of a trajectory: the formula is refused, or the window has the samples that are there."""
+DISCRETE = "discrete"
+"""Unit of a column whose values are whole numbers, such as a gear: specifications compare it with == and !=."""
 StoppedBy = Literal["converged", "budget", "refuted", "counterexample"]
 
 

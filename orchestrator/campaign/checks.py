@@ -1,6 +1,6 @@
 """All checks of a campaign against its system: `schemas.file.against_system`, and those of the parsed formula."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -113,14 +113,16 @@ def _check_new_clip(config: CampaignConfig, source: str) -> None:
 
 
 def _check_specification(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
-    known = [column.name for column in spec.columns]
+    known, truncates = spec.units, config.beyond == "truncate"
     # A horizon that is missing has a line already.
     horizon = spec.max_horizon if config.horizon == 0 and spec.timed else config.horizon
     # One by one first, so that an error names the requirement.
     faults = []
     for each in config.specifications:
         try:
-            check_horizon(parse_formula(each.formula, known), horizon)
+            tree = parse_formula(each.formula, known)
+            if not truncates:
+                check_horizon(tree, horizon)
         except FormulaError as error:
             faults.append(f"{source}: specifications.{each.name}: {error}")
     if faults:
@@ -129,13 +131,14 @@ def _check_specification(config: CampaignConfig, spec: SystemSpec, source: str) 
         return
     try:
         formula = parse_formula(config.formula, known)
-        check_horizon(formula, horizon)
+        if not truncates:
+            check_horizon(formula, horizon)
         _check_gap(config, known, columns(formula), source)
     except FormulaError as error:
         raise CampaignError(f"{source}: specification: {error}") from None
 
 
-def _check_gap(config: CampaignConfig, known: Sequence[str], read: frozenset[str], source: str) -> None:
+def _check_gap(config: CampaignConfig, known: Collection[str], read: frozenset[str], source: str) -> None:
     """Refuse a gap in one column where the robustness depends on others."""
     for problem in config.problems:
         gap = config.gap_of(problem)

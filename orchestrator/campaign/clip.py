@@ -21,6 +21,7 @@ from ...schemas.file.drawn_claims import ClaimRequest
 from ...schemas.file.objectives import OBJECTIVES, Reading
 from ...schemas.file.problem_models import Problem
 from ...schemas.system import AfterEnd
+from ...schemas.values import Beyond
 from ..mathematics.bounds.one_law.risk import RiskReading
 from ..mathematics.bounds.rounding import round_down, round_up
 from ..mathematics.stl.parser import parse_formula
@@ -32,9 +33,9 @@ SAME = 2e-9
 
 
 @cache
-def reach_of(formula: str | None, after_end: AfterEnd | None = None) -> Range:
+def reach_of(formula: str | None, after_end: AfterEnd | None = None, beyond: Beyond = "refuse") -> Range:
     """Return the range of robustness that a rollout can reach; one that ends early and fails has a share above -1."""
-    low, high = ANY if formula is None else reach(parse_formula(formula))
+    low, high = ANY if formula is None else reach(parse_formula(formula), beyond)
     return (min(low, -1.0), high) if after_end == "fail" else (low, high)
 
 

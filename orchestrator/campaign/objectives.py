@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ...schemas.system import AfterEnd
 from ...schemas.trajectory.early_end import missing_share
 from ...schemas.trajectory.trajectory import Trajectory
+from ...schemas.values import Beyond
 from ..mathematics.stl.predicates import check_grids
 from ..mathematics.stl.robustness import Evaluated, evaluated
 from ..mathematics.stl.tree import Formula
@@ -42,8 +43,12 @@ def measured(value: float, name: str) -> float:
     return value
 
 
-def scored(formula: Formula, trajectory: Trajectory, after_end: AfterEnd | None) -> Evaluated:
+def scored(
+    formula: Formula, trajectory: Trajectory, after_end: AfterEnd | None, beyond: Beyond = "refuse"
+) -> Evaluated:
     """Return the robustness of a rollout, not clipped, with what the system declares of an early end.
+
+    With `beyond` = "truncate" the windows of the formula end with the rollout.
 
     Formula: rho, and with `after_end = "fail"` min(rho, -(share of the horizon that is missing)) after an early end:
     it violates the specification, by the more the earlier it comes.
@@ -52,7 +57,7 @@ def scored(formula: Formula, trajectory: Trajectory, after_end: AfterEnd | None)
         ValueError: as `robustness`.
 
     """
-    found = evaluated(formula, trajectory.columns, trajectory.samples)
+    found = evaluated(formula, trajectory.columns, trajectory.samples, beyond)
     share = missing_share(trajectory) if after_end == "fail" else 0.0
     return Evaluated(min(found.robustness, -share), by_tolerance=False) if share else found
 

@@ -45,11 +45,12 @@ class Observer:
     def __init__(self, config: CampaignConfig, spec: SystemSpec) -> None:
         self._columns = tuple(column.name for column in spec.columns)
         self._after_end, self._of_two = spec.after_end, bool(spec.simulators)
+        self._beyond = config.beyond
         # Columns alone have no robustness without a clip: their certificates must not depend on a specification.
         columns_alone = all(OBJECTIVES[problem.name].measured == "column" for problem in config.problems)
         self._clip = config.clip or (None if columns_alone else UNBOUNDED)
-        self._parsed = None if config.formula is None else parse_formula(config.formula, self._columns)
-        self._requirements = [parse_formula(each.formula, self._columns) for each in config.specifications]
+        self._parsed = None if config.formula is None else parse_formula(config.formula, spec.units)
+        self._requirements = [parse_formula(each.formula, spec.units) for each in config.specifications]
         self._parts = {
             each.name: Observer(part, spec) for each, part in zip(config.specifications, parts_of(config), strict=False)
         }
@@ -91,7 +92,7 @@ class Observer:
                 ended[place] = math.nan if end is None else end
         robustness: Floats | None = None
         for formula in ([] if self._parsed is None else [self._parsed]) + self._requirements:
-            found = evaluated_each(formula, batch.columns, batch.time, batch.values)
+            found = evaluated_each(formula, batch.columns, batch.time, batch.values, self._beyond)
             margins = found.robustness
             if self._after_end == "fail":
                 share = np.nan_to_num(1.0 - ended / float(batch.time[-1]))
@@ -116,7 +117,7 @@ class Observer:
         # Needed when a rollout is checked, when it is recorded, and when its test is observed.
         known = self._known.setdefault(trajectory, {})
         if id(formula) not in known:
-            known[id(formula)] = objectives.scored(formula, trajectory, self._after_end)
+            known[id(formula)] = objectives.scored(formula, trajectory, self._after_end, self._beyond)
         return known[id(formula)]
 
     def end(self, trajectory: Trajectory) -> float | None:

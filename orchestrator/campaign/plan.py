@@ -353,8 +353,8 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
         until_counterexample=config.until_counterexample,
         parts=tuple(parts),
         falsify=config.falsify,
-        reaches={None: reach_of(config.formula, spec.after_end)}
-        | {each.name: reach_of(each.formula, spec.after_end) for each in config.specifications},
+        reaches={None: reach_of(config.formula, spec.after_end, config.beyond)}
+        | {each.name: reach_of(each.formula, spec.after_end, config.beyond) for each in config.specifications},
     )
 
 

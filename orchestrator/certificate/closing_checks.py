@@ -51,7 +51,7 @@ def _most_starts(
     # What the clip alone proves is no bound.
     if bound is None or (clip is not None and bound <= clip[0]):
         return None
-    within = reach_of(ledger.config.formula, ledger.header.spec.after_end)
+    within = reach_of(ledger.config.formula, ledger.header.spec.after_end, ledger.config.beyond)
     return document.MostStarts(
         share=SHARE,
         quantity="expected_robustness" if noisy else "robustness",

@@ -171,7 +171,13 @@ def clip_of_other_side(config: CampaignConfig, claim: CertificateClaim, bound: f
     """Return the clip that the words of `bound`, from the other side of the quantity of a claim, have to name."""
     reading: Mapping[Quantity, Reading] = {"rho_star": "risk", "expected_robustness": "mean"}
     other = "<=" if claim.sense == ">=" else ">="
-    return hiding(config.clip, reach_of(config.formula), reading.get(claim.quantity, "each"), other, bound=bound)
+    return hiding(
+        config.clip,
+        reach_of(config.formula, beyond=config.beyond),
+        reading.get(claim.quantity, "each"),
+        other,
+        bound=bound,
+    )
 
 
 def _is_two_sided(problem: ProblemResult) -> bool:
@@ -281,7 +287,7 @@ def _most_suspicious(header: Header, by_start: ByStart, required: float) -> tupl
         return ()
     number, below = len(values[worst]), sum(value < required for value in values[worst])
     mean = margin_words(math.fsum(values[worst]) / number, robustness_unit(header.config, header.spec))
-    clip, within = header.config.clip, reach_of(header.config.formula, header.spec.after_end)
+    clip, within = header.config.clip, reach_of(header.config.formula, header.spec.after_end, header.config.beyond)
     # It is a number and no bound: either end of the clip may hide what it would be.
     clips = (hiding(clip, within, "mean", sense) for sense in (">=", "<="))
     clipped = next((f", {clip_words(each)}," for each in clips if each is not None), "")
@@ -308,7 +314,7 @@ def _mean_below(
     for start, values in by_start:
         test.observe_each(start, [min(max(value, low), high) for value in values])
     # Values above the upper end may lift the mean itself over what is required.
-    clip = hiding(config.clip, reach_of(config.formula), "mean", "<=")
+    clip = hiding(config.clip, reach_of(config.formula, beyond=config.beyond), "mean", "<=")
     clipped = "" if clip is None else f", {clip_words(clip)},"
     found = _refuting(test, probability, f"{whose}{clipped} is below {as_required(required)}")
     return None if found is None else replace(found, clip=clip)

@@ -197,4 +197,6 @@ def question(header: Header) -> dict[str, object]:
     sought = {key for key in optional if getattr(header.config, key)}
     if header.config.on_refuted != "continue":
         sought.add("on_refuted")
+    if header.config.beyond != "refuse":
+        sought.add("beyond")
     return header.config.model_dump(mode="json", exclude_none=True, include=keys | sought)

@@ -43,10 +43,10 @@ def scored(directory: Path, specification: str, report: Callable[[str, int, int]
         PerfboundError: the formula cannot be read, names an unknown column, or does not fit the trajectories.
 
     """
-    spec = read.stored_header(directory).spec
-    known = [column.name for column in spec.columns]
+    header = read.stored_header(directory)
+    spec, beyond = header.spec, header.config.beyond
     try:
-        formula = parse_formula(specification, known)
+        formula = parse_formula(specification, spec.units)
     except ValueError as error:
         raise PerfboundError(f"--specification: {error}") from None
     recorded = [
@@ -57,7 +57,7 @@ def scored(directory: Path, specification: str, report: Callable[[str, int, int]
         report("rollouts", number, len(recorded))
         rollout, trajectory = fact.rollout, read_recorded(directory, fact).trajectory
         try:
-            value = objective(formula, trajectory, spec.after_end)
+            value = objective(formula, trajectory, spec.after_end, beyond)
         except ValueError as error:
             raise PerfboundError(f"--specification: {rollout}: {error}") from None
         found.append(ScoredRollout(str(rollout), rollout.variant, *value))

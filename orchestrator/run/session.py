@@ -260,10 +260,10 @@ def _beforehand(ledger: "Ledger", *, resumed: bool) -> Iterator[str]:
     plans = ledger.plans
     if not resumed:
         yield from consistency.scope(plans)
-        config, columns = ledger.config, ledger.header.spec.columns
+        config = ledger.config
         one = {} if config.formula is None else {"specification": config.formula}
         formulas = {each.name: each.formula for each in config.specifications} or one
-        yield from mixed_units(formulas, {each.name: each.unit for each in columns})
+        yield from mixed_units(formulas, ledger.header.spec.units)
         yield from checks.cost(ledger.header, plans)
     budgets = {name: replace(each, budget=ledger.accounts[name].budget) for name, each in plans.items()}
     yield from remaining.warnings(budgets)

@@ -33,6 +33,7 @@ from ...schemas.file.problem_models import Problem
 from ...schemas.ids import CLOSING, RECHECK, RISK_CHECK, SPOT_CHECK, FileId, closing_check, rollout_at
 from ...schemas.result.facts import NO_FAILURE, RECORDED, Header
 from ...schemas.system import Parameter, SystemSpec
+from ...schemas.values import DISCRETE
 from . import tables
 
 TABLES = ("tests", "rollouts", "observations", "counterexamples", "failures", "opinions", "set_aside")
@@ -102,7 +103,9 @@ def robustness_unit(config: CampaignConfig, spec: SystemSpec) -> str:
     text = config.formula or ""
     words = set(re.findall(r"(?<![\w.])[A-Za-z_]\w*", text))
     units = {column.unit for column in spec.columns if column.name in words}
-    return units.pop() if len(units) == 1 and not re.search(r"[*/^]", text) else ""
+    # What is a number of steps, a product or the value of a function has none of these.
+    other = units == {DISCRETE} or re.search(r"[*/^]|\b(sqrt|sin|cos|tan|exp|log)\b", text)
+    return "" if len(units) != 1 or other else units.pop()
 
 
 def unit(problem: Problem, config: CampaignConfig, spec: SystemSpec) -> str:

@@ -2,7 +2,7 @@
 
 import html
 import io
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -33,6 +33,7 @@ from ..schemas.result.facts import Header
 from ..schemas.result.known import CampaignVerdict
 from ..schemas.system import differences
 from ..schemas.trajectory.trajectory import Trajectory
+from ..schemas.values import DISCRETE, Beyond
 from .forked import Forked
 from .process import interruptible, output, reproducible
 from .system_argument import GivenSystem, given_system
@@ -305,10 +306,17 @@ def _run_options(workers: int, reference: str | None, own: Forked | None) -> Run
     return RunOptions(workers, Link(LOCAL), system=reference, own=own)
 
 
-def robustness(specification: str, trajectory: Trajectory | dict[str, Sequence[float]]) -> float:
+def robustness(
+    specification: str,
+    trajectory: Trajectory | dict[str, Sequence[float]],
+    *,
+    discrete: Collection[str] = (),
+    beyond: Beyond = "refuse",
+) -> float:
     """Return the robustness of a trajectory, in the unit of the predicates: above 0 it satisfies the formula.
 
-    `trajectory` may be a dict of columns, (T,) each; without `t` it is one sample.
+    `trajectory` may be a dict of columns, (T,) each; without `t` it is one sample. `discrete` are the columns of whole
+    numbers, which may be compared with == and !=. With `beyond` = "truncate" windows end with the trajectory.
 
     Raises:
         PerfboundError: the formula cannot be read, or not be evaluated on this trajectory.
@@ -325,7 +333,8 @@ def robustness(specification: str, trajectory: Trajectory | dict[str, Sequence[f
         columns = ("t", *(name for name in trajectory if name != "t"))
         trajectory = as_trajectory(trajectory, columns, None)
     try:
-        return evaluated(parse_formula(specification, trajectory.columns), trajectory.columns, trajectory.samples)
+        units = {name: DISCRETE if name in discrete else "" for name in trajectory.columns}
+        return evaluated(parse_formula(specification, units), trajectory.columns, trajectory.samples, beyond)
     except ValueError as error:
         raise PerfboundError(f"robustness: {error}") from None
 

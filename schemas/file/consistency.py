@@ -84,6 +84,7 @@ def _rules_of_claims(config: CampaignKeys) -> Iterator[Callable[[], None]]:
     yield partial(check_composition, config)
     if config.specifications:
         yield partial(_check_specifications, config)
+    yield partial(_check_beyond, config)
     yield partial(_check_claims, config)
     yield partial(_check_required_side, config)
 
@@ -264,6 +265,11 @@ def _check_design(config: CampaignKeys, problem: KrigingProblem, where: str) -> 
         )
     if problem.points > resolution:
         raise ValueError(f"{where}.points: {problem.points} is more than the {resolution} nodes per parameter")
+
+
+def _check_beyond(config: CampaignKeys) -> None:
+    if config.beyond != "refuse" and config.formula is None:
+        raise ValueError("beyond: is about the windows of a specification, and there is none; remove this key")
 
 
 def _check_specifications(config: CampaignKeys) -> None:

@@ -6,6 +6,7 @@ from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator
 
 from ..base import Model
 from ..ranges import LARGEST_BATCH
+from ..values import Beyond
 from .composition import ComposedClaim, Rule, is_composed
 from .disturbance import MAX_DISTURBANCES, Disturbance
 from .drawn_claims import SAMPLED, ClaimRequest, DrawnClaim, drawn_claims
@@ -86,6 +87,12 @@ class CampaignKeys(CampaignSize):
         max_length=MOST,
         exclude_if=lambda requirements: requirements == (),
         description="several requirements instead of `specification`; not with method `paper`",
+    )
+    beyond: Beyond = Field(
+        default="refuse",
+        exclude_if=lambda choice: choice == "refuse",
+        description="a specification whose windows reach beyond the horizon: refused, or (`truncate`) each window ends "
+        "with the rollout, and over no sample `always` is true and `eventually` false; the claim says so",
     )
     required_margin: float = Field(
         default=0.0,

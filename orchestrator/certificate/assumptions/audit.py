@@ -114,12 +114,14 @@ def assumptions(
 
 
 def _remarked(ledger: Ledger) -> Iterator[Assumption]:
-    """Yield a line on the stamps at borders of windows, where there are any, and one on early ends, where declared."""
+    """Yield a line on stamps at borders of windows, where there are any, on cut windows, and on declared early ends."""
     series = ledger.series.values()
     rollouts = sum(sum(each.counts.values()) for each in series)
     borders, ended = ([getattr(each, name) for each in series] for name in ("by_tolerance", "ended"))
     if sum(each.number for each in borders):
         yield assumption("borders", "assumed", {**_counted(borders), "rollouts": rollouts})
+    if ledger.config.beyond == "truncate":
+        yield assumption("truncated", "assumed")
     if (after_end := ledger.header.spec.after_end) is not None:
         none = "" if sum(each.number for each in ended) else "_none"
         status: Status = "assumed" if after_end == "hold" else "derived"

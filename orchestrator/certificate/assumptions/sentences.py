@@ -334,6 +334,11 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "derived": "none of {rollouts} rollouts ended before the horizon; as the system declares, one that does "
         "violates the specification: its robustness is at most minus the share of the horizon that is missing.",
     },
+    "truncated": {
+        "assumed": "windows of the specification are truncated: one that reaches beyond the end of a rollout has the "
+        "samples that there are, and over none of them `always` is true and `eventually` false; what follows the end "
+        "is assumed to change nothing.",
+    },
     "finite_rollouts": {
         "derived": "all {rollouts} rollouts behind the bounds are finite: a rollout that never becomes finite ends the "
         "campaign without a certificate.",

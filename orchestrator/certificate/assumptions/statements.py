@@ -42,6 +42,7 @@ STATEMENTS = {
     "sampled_at_sample_times": "nothing worse happens between two sample times",
     "sigma": "the theorem covers the width of this band",
     "simulator_is_the_system": "the real system behaves like the simulator",
+    "truncated": "what follows the end of a rollout changes nothing",
     "tail": "large deviations are as rare as the noise model says",
     "unrelated_crashes": "crashes and lost attempts are unrelated to outcomes",
     "workers_honest": "worker processes send what they simulated",

@@ -73,6 +73,8 @@ LISTED: dict[Quantity, str] = {
 }
 """The same where the starts are a list, which the claim does not leave."""
 
+TRUNCATED = ", its windows truncated at the end of a rollout"
+"""Of a claim about a specification whose windows may reach beyond the horizon."""
 VALID = "the bound is valid at every moment"
 BUDGET = {"paper": "the bound contains the difference", "rigorous": VALID, "kriging": VALID, "scenario": VALID}
 """The reason, by method, why a problem has a bound that ended by its budget and not by its tolerance."""
@@ -118,12 +120,14 @@ def nothing_shown(quantity: Quantity | None) -> str:
 
 def claim_words(claim: CertificateClaim) -> str:
     """Return the subject of a claim in words."""
+    # Of a gap or a column no window is read.
+    cut = TRUNCATED if "truncated" in claim.assumptions and claim.quantity != "J_star" else ""
     if claim.subject is not None:
-        return claim.subject
+        return f"{claim.subject}{cut}"
     words = quantity_words(claim.quantity, claim.starts, claim.clipped)
     if claim.rule == "every":
-        return f"{words}, of every requirement"
-    return words if claim.requirement is None else f"{words}, of requirement {claim.requirement}"
+        return f"{words}, of every requirement{cut}"
+    return f"{words}{cut}" if claim.requirement is None else f"{words}, of requirement {claim.requirement}{cut}"
 
 
 def print_certificate(

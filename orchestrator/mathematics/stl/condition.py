@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from .errors import FormulaError
 from .predicates import Floats, Signals
+from .text import operator
 from .tree import And, Comparison, Formula, Implies, Not, Or, Temporal, walk
 
 Truth = NDArray[np.bool_]
@@ -27,7 +28,9 @@ def check_timeless(tree: Formula) -> None:
     """
     for node in walk(tree):
         if isinstance(node, Temporal):
-            raise FormulaError("a condition on starts has no time; leave out always, eventually and until")
+            raise FormulaError(
+                f"a condition on starts has no time; leave out {operator(node)} and the other operators over time"
+            )
 
 
 def holds(tree: Formula, columns: Sequence[str], points: Floats) -> Truth:
@@ -50,7 +53,7 @@ def holds(tree: Formula, columns: Sequence[str], points: Floats) -> Truth:
             case Comparison():
                 margins = signals.any_margins(node)
                 np.logical_and(finite, np.isfinite(margins), out=finite)
-                return margins >= 0 if node.operator in {"<=", ">="} else margins > 0
+                return margins >= 0 if node.operator in {"<=", ">="} else margins > 0  # of == and != it is never 0
             case Not():
                 return ~truth(node.operand)
             case And():

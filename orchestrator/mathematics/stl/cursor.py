@@ -39,7 +39,11 @@ class Cursor:
     @property
     def following(self) -> tuple[FormulaToken, FormulaToken]:
         """The next two tokens; behind the end there is the end."""
-        return self.token, self._tokens[min(self._next + 1, len(self._tokens) - 1)]
+        return self.token, self.ahead(1)
+
+    def ahead(self, number: int) -> FormulaToken:
+        """Return the token behind so many others; behind the end there is the end."""
+        return self._tokens[min(self._next + number, len(self._tokens) - 1)]
 
     def advance(self) -> None:
         """Move past the next token."""

@@ -5,20 +5,40 @@ import math
 import re
 from collections.abc import Collection
 
-from ....schemas.values import FORMULA_WORDS
-from .tokens import FormulaToken
+from ....schemas.values import DISCRETE, FORMULA_FUNCTIONS, FORMULA_WORDS
+from .text import text
+from .tokens import FormulaToken, tokens
+from .tree import Absolute, Arithmetic, Column, Comparison, Function, Number, walk
 
-__all__ = ["BETWEEN", "COMPARATORS", "UNTIL", "decimal", "function", "surplus", "unexpected", "unit", "unknown"]
+__all__ = [
+    "BETWEEN",
+    "COMPARATORS",
+    "UNTIL",
+    "arguments",
+    "clash",
+    "decimal",
+    "equality",
+    "function",
+    "surplus",
+    "unexpected",
+    "unit",
+    "unknown",
+]
 
-COMPARATORS = ("<=", ">=", "<", ">")
-UNTIL = ("until", "until_from")
+COMPARATORS = ("<=", ">=", "<", ">", "==", "!=")
+UNTIL = ("until", "until_from", "since")
 BETWEEN = frozenset({*UNTIL, "and", "or", "implies"})
-_OPERATORS = ("always", "eventually", *UNTIL, "not", "and", "or", "implies")
-_BEGINNINGS = ("always", "eventually")
+_BEGINNINGS = ("always", "eventually", "historically", "once")
+_OPERATORS = (*_BEGINNINGS, *UNTIL, "next", "previous", "rise", "fall", "not", "and", "or", "implies")
 _OTHERWISE = {
-    "sqrt": "write (f)^0.5",
-    "max": "write `f < c and g < c` for `max(f, g) < c`",
-    "min": "write `f > c and g > c` for `min(f, g) > c`",
+    "ln": "write log(x), the natural logarithm",
+    "log10": "write log(x) / log(10)",
+    "log2": "write log(x) / log(2)",
+    "pow": "write x^2",
+    "square": "write x^2",
+    "norm": "write sqrt(x^2 + y^2)",
+    "hypot": "write sqrt(x^2 + y^2)",
+    "iff": "write `(f implies g) and (g implies f)`",
 }
 """How what other functions say is written."""
 _ANGLE = (math.pi / 180.0, "in rad")
@@ -54,9 +74,52 @@ def decimal(number: FormulaToken, comma: FormulaToken, further: FormulaToken) ->
 def function(name: str, argument: str, known: Collection[str] | None) -> str:
     """Return why there is no function of this name; `argument` is the word behind its parenthesis."""
     whole = f"{name}_{argument}".lower()  # der(h) of an FMU
-    near = f"did you mean {whole!r}? " if whole in (known or ()) else _meant(name, (*_OPERATORS, "abs"), 0.7)
+    near = (
+        f"did you mean {whole!r}? " if whole in (known or ()) else _meant(name, (*_OPERATORS, *FORMULA_FUNCTIONS), 0.7)
+    )
     hint = f"{_OTHERWISE[name]}; " if name in _OTHERWISE else near
-    return f"unknown function {name!r}; {hint}the only function is abs"
+    return f"unknown function {name!r}; {hint}there are {', '.join(FORMULA_FUNCTIONS)}"
+
+
+def arguments(name: str, number: int) -> str | None:
+    """Return why a function cannot have so many arguments; None where it can."""
+    if name in {"max", "min"}:
+        return None if number > 1 else f"{name} needs two numbers or more: {name}(x, y)"
+    return None if number == 1 else f"{name} has one number between its parentheses, not {number}"
+
+
+def equality(predicate: Comparison, discrete: Collection[str] | None) -> str | None:
+    """Return why a predicate cannot compare by == or !=; None where it can, or does not.
+
+    `discrete` are the columns of whole numbers; None if that is not known here.
+    """
+    sign = predicate.operator
+    if sign not in {"==", "!="}:
+        return None
+    for node in walk(predicate):
+        match node:
+            case Number(value):
+                whole, what = value.is_integer(), f"{value:g} is none"
+            case Column(name):
+                whole = discrete is None or name in discrete
+                what = f'{name!r} is no column with the unit "{DISCRETE}"'
+            case Arithmetic(operator, _, _):
+                whole, what = operator not in "/^", f"what {operator} gives may be none"
+            case Function(name, _):
+                whole, what = name in {"max", "min"}, f"what {name} gives may be none"
+            case _:
+                continue
+        if not whole:
+            size = text(Absolute(Arithmetic("-", predicate.left, predicate.right)))
+            near = f"{size} {'<=' if sign == '==' else '>'} 0.1"
+            return f"{sign} compares whole numbers, and {what}: write `{near}` with your tolerance"
+    return None
+
+
+def clash(formula: str, known: Collection[str]) -> FormulaToken | None:
+    """Return the first word of a formula that is the name of a column, too."""
+    taken = FORMULA_WORDS.intersection(known)
+    return next((each for each in tokens(formula) if each.text in taken), None) if taken else None
 
 
 def unknown(name: str, after: FormulaToken, known: Collection[str]) -> str:
@@ -69,15 +132,14 @@ def unknown(name: str, after: FormulaToken, known: Collection[str]) -> str:
 
 def no_operator(name: str) -> str:
     """Return why `name` is no operator."""
-    return f"there is no operator {name!r}; {_meant(name, _OPERATORS)}there are {', '.join(_OPERATORS)}"
+    near = _nearest(name, _OPERATORS)
+    return f"there is no operator {name!r}; {near and f'nearest: {near}; '}there are {', '.join(_OPERATORS)}"
 
 
 def surplus(token: FormulaToken) -> str:
     """Return why the text cannot continue with `token`, behind a whole phrase."""
     if token.text in UNTIL:
-        return "`until` does not chain: put one of the two into parentheses"
-    if token.text in COMPARATORS:
-        return "comparisons do not chain: write `a <= b and b <= c`"
+        return f"`{token.text}` does not chain: put one of the two into parentheses"
     if token.text == ")":
         return "unexpected ')': no '(' before it is open; remove it, or add the '('"
     reason = unexpected(token)
@@ -90,12 +152,11 @@ def unexpected(token: FormulaToken) -> str:
     """Return why no phrase begins with `token`."""
     if token.text in {",", "[", "]", "inf"}:
         index = "; a column has no index" if token.text == "[" else ""
-        return f"an interval [a,b] or [a,inf) is written right after always, eventually or until{index}"
+        return f"an interval [a,b] or [a,inf) is written right after always, until or another operator over time{index}"
     if token.kind == "end":
         return "the formula is not complete"
-    hint = (
-        _meant(token.text, FORMULA_WORDS - {"inf"}) if token.kind == "word" and token.text not in FORMULA_WORDS else ""
-    )
+    misspelled = token.kind == "word" and token.text not in FORMULA_WORDS
+    hint = _meant(token.text, _OPERATORS) if misspelled else ""
     return f"unexpected {token.text!r}{hint and '; ' + hint.strip()}"
 
 
@@ -112,7 +173,12 @@ def _of_dots(name: str, known: Collection[str]) -> str:
 
 def _meant(word: str, allowed: Collection[str], cutoff: float = 0.6) -> str:
     """Return a question with the nearest of the `allowed` words; empty if none is near."""
+    near = _nearest(word, allowed, cutoff)
+    return f"did you mean {near!r}? " if near else ""
+
+
+def _nearest(word: str, allowed: Collection[str], cutoff: float = 0.6) -> str:
     # As `schemas.errors`, which cannot be imported here: the mathematics takes the values of the schemas alone.
     small = {each.lower(): each for each in sorted(allowed)}
     near = difflib.get_close_matches(word.lower(), small, 1, cutoff)
-    return f"did you mean {small[near[0]]!r}? " if near else ""
+    return small[near[0]] if near else ""

@@ -11,7 +11,7 @@ import math
 
 from .errors import FormulaError
 from .text import excerpt, number, operator
-from .tree import Comparison, Formula, Interval, Temporal, operands
+from .tree import Ahead, Behind, Comparison, Formula, Interval, Since, operands
 
 __all__ = ["check_horizon", "horizon"]
 
@@ -22,7 +22,9 @@ ROUND_OFF = 1e-9
 def horizon(tree: Formula) -> float:
     """Return how far from now the value of `tree` depends on the trajectory, in s; inf if to its end.
 
-    Formula: 0 for a predicate; the largest of its operands' for not, and, or, implies; b + that for an interval [a, b].
+    Formula: 0 for a predicate; the largest of its operands' for not, and, or, implies; b + that for an interval [a, b];
+    of an operand h seconds ahead that is read a seconds ago max(h - a, 0). The step of `next` and `previous` counts as
+    none: how long it is only a trajectory shows.
 
     >>> from perfbound.orchestrator.mathematics.stl.parser import parse_formula
     >>> horizon(parse_formula("always[0,10] (x <= 1 or eventually[2,5] y <= 1)"))
@@ -31,15 +33,20 @@ def horizon(tree: Formula) -> float:
     inf
 
     """
+    if isinstance(tree, Since):
+        return max(horizon(tree.left), horizon(tree.right) - tree.interval.low, 0.0)
     below = max((horizon(operand) for operand in operands(tree)), default=0.0)
-    return tree.interval.high + below if isinstance(tree, Temporal) else below
+    if isinstance(tree, Behind):
+        return max(below - tree.interval.low, 0.0)
+    return tree.interval.high + below if isinstance(tree, Ahead) else below
 
 
 def check_horizon(tree: Formula, duration: float, *, slack: float = 0.0) -> None:
     """Raise if a formula, read at time 0, reaches beyond the end of a trajectory that lasts `duration` seconds.
 
     An operator without an end of its own is read to the end of the trajectory, so its operands may reach no further
-    than their own time, or to the end. `slack` is how far from the last sample a moment is still the same instant.
+    than their own time, or to the end. What an operator of the past reads is a seconds earlier at least. `slack` is how
+    far from the last sample a moment is still the same instant.
 
     Raises:
         FormulaError: an interval ends after `duration`; with the remedy. Its position is None.
@@ -51,7 +58,7 @@ def check_horizon(tree: Formula, duration: float, *, slack: float = 0.0) -> None
     _check(tree, 0.0, (duration, duration + slack + ROUND_OFF), None)
 
 
-def _check(tree: Formula, latest: float, end: tuple[float, float], unbounded: Temporal | None) -> None:
+def _check(tree: Formula, latest: float, end: tuple[float, float], unbounded: Ahead | None) -> None:
     """Check `tree`, read until `latest`, under the operator `unbounded` if that is why it is read so late.
 
     `end` is the duration, and the latest moment that is the instant of the last sample.
@@ -59,14 +66,16 @@ def _check(tree: Formula, latest: float, end: tuple[float, float], unbounded: Te
     duration, last = end
     if isinstance(tree, Comparison):
         return
-    if isinstance(tree, Temporal):
+    if isinstance(tree, Ahead):
         # Read until `latest`, the interval needs a sample this late.
         reach = latest + _last(tree.interval)
         if reach > last:
             raise FormulaError(_reason(tree, reach, duration, unbounded))
         latest, unbounded = (reach, unbounded) if tree.interval.bounded else (duration, tree)
+    ago = tree.interval.low if isinstance(tree, Behind) else 0.0
     for operand in operands(tree):
-        _check(operand, latest, end, unbounded)
+        now = isinstance(tree, Since) and operand is tree.left
+        _check(operand, latest if now else latest - ago, end, unbounded)
 
 
 def _last(interval: Interval) -> float:
@@ -74,7 +83,7 @@ def _last(interval: Interval) -> float:
     return interval.high if interval.bounded else interval.low
 
 
-def _reason(tree: Temporal, reach: float, duration: float, unbounded: Temporal | None) -> str:
+def _reason(tree: Ahead, reach: float, duration: float, unbounded: Ahead | None) -> str:
     reaches = f"`{excerpt(tree)}` reaches to {reach:.9g} s, but the trajectory ends at {duration:.9g} s"
     if unbounded is None:
         return f"{reaches}: shorten the interval, or lengthen the horizon of the campaign"

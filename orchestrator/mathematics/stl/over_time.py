@@ -18,15 +18,36 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ....schemas.values import Beyond
 from . import sliding
 from .grid import Grid, Windows
 from .predicates import Floats, Signals
 from .robustness import margins_at_samples
-from .tree import Always, And, Comparison, Eventually, Formula, Implies, Not, Or, Temporal, Until, columns, operands
+from .tree import (
+    STEP_BACK,
+    Always,
+    And,
+    Comparison,
+    Edge,
+    Eventually,
+    Formula,
+    Implies,
+    Not,
+    Or,
+    Since,
+    Span,
+    Temporal,
+    Until,
+    changed,
+    columns,
+    operands,
+    span,
+)
 
 __all__ = ["RobustnessSignal", "WorstMoment", "outermost", "robustness_signal", "worst_moment"]
 
 Flags = NDArray[np.bool_]
+Indices = NDArray[np.intp]
 Attained = Literal["least", "greatest", "first"]
 
 MOST_PAIRS = 4_000_000
@@ -55,11 +76,14 @@ class WorstMoment:
     columns: frozenset[str]
 
 
-def robustness_signal(tree: Formula, names: Sequence[str], samples: Floats) -> RobustnessSignal:
+def robustness_signal(
+    tree: Formula, names: Sequence[str], samples: Floats, beyond: Beyond = "refuse"
+) -> RobustnessSignal:
     """Return the robustness of `tree`, or of what its outermost operator is about, at every sample of (T, n).
 
     Formula: for `always[a,b] phi` and `eventually[a,b] phi` rho(phi, k) for the samples k in [a, b]; for a conjunction
-    of `always` with one interval that of the conjunction of their operands; for any other formula rho(tree, k).
+    of `always` with one interval that of the conjunction of their operands; for any other formula rho(tree, k). Where
+    empty windows alone decide it has no value.
 
     Raises:
         FormulaError: as in `robustness`.
@@ -72,19 +96,20 @@ def robustness_signal(tree: Formula, names: Sequence[str], samples: Floats) -> R
     ([1.0, -1.0, nan], 'least')
 
     """
-    signals, grid = Signals(names, samples), Grid(samples[:, 0])
+    signals, grid = Signals(names, samples), Grid(samples[:, 0], beyond)
     grid.check(tree)
     match outermost(tree):
         case Always(operand, interval) | Eventually(operand, interval) as outer:
             attained: Attained = "least" if isinstance(outer, Always) else "greatest"
-            shown, read = operand, grid.windows(interval).cover(_first_sample(len(grid)))
+            shown, read = operand, grid.windows(Span(interval)).cover(_first_sample(len(grid)))
         case _:
             shown, attained, read = tree, "first", np.ones(len(grid), dtype=np.bool_)
     values = margins_at_samples(shown, signals, grid)
-    return RobustnessSignal(shown, np.where(read & _readable(shown, grid), values, np.nan), attained)
+    read = read & _readable(shown, grid) & np.isfinite(values)
+    return RobustnessSignal(shown, np.where(read, values, np.nan), attained)
 
 
-def worst_moment(tree: Formula, names: Sequence[str], samples: Floats) -> WorstMoment | None:
+def worst_moment(tree: Formula, names: Sequence[str], samples: Floats, beyond: Beyond = "refuse") -> WorstMoment | None:
     """Return when the robustness of a trajectory (T, n) is attained; None if that is not one run of samples.
 
     A run of several samples is a stretch with one and the same margin, as of a vehicle that has stopped. Two
@@ -102,7 +127,7 @@ def worst_moment(tree: Formula, names: Sequence[str], samples: Floats) -> WorstM
     True
 
     """
-    signals, grid = Signals(names, samples), Grid(samples[:, 0])
+    signals, grid = Signals(names, samples), Grid(samples[:, 0], beyond)
     grid.check(tree)
     found = _Deciding(signals, grid)
     if not found.follow(tree, _first_sample(len(grid))):
@@ -130,34 +155,53 @@ class _Deciding:
             self.columns |= columns(tree)
             return True
         value = self._margins(tree)[deciding][0]
-        if isinstance(tree, Until):
+        if isinstance(tree, Until | Since):
             return self._follow_until(tree, deciding, value)
+        if isinstance(tree, Edge):
+            return self.follow(changed(tree), deciding)
         if isinstance(tree, Temporal):
-            deciding = self._grid.windows(tree.interval).cover(deciding)
+            deciding = self._grid.windows(span(tree)).cover(deciding)
         parts = zip(operands(tree), _signs(tree), strict=True)
         return all(self.follow(part, deciding & (sign * self._margins(part) == value)) for part, sign in parts)
 
-    def _follow_until(self, tree: Until, deciding: Flags, value: float) -> bool:
-        left, right = self._margins(tree.left), self._margins(tree.right)
-        windows = self._grid.windows(tree.interval)
+    def _follow_until(self, tree: Until | Since, deciding: Flags, value: float) -> bool:
+        left, right, windows = self._margins(tree.left), self._margins(tree.right), self._grid.windows(span(tree))
         if int(deciding.sum()) * len(left) > MOST_PAIRS:
             return False
-        of_left, of_right = np.zeros_like(deciding), np.zeros_like(deciding)
-        for k in np.flatnonzero(deciding).tolist():
-            begin = k if tree.reading == "standard" else int(windows.first[k])
-            ends = slice(int(windows.first[k]), int(windows.stop[k]))
-            least = np.minimum.accumulate(left[begin : ends.stop])[ends.start - begin :]
-            best = np.flatnonzero(np.minimum(least, right[ends]) == value) + ends.start
-            of_right[best[right[best] == value]] = True
-            # Left decides up to the last of the ends that attain the value, where its minimum is that value.
-            last = best[least[best - ends.start] == value]
-            if last.size:
-                run = np.arange(begin, int(last[-1]) + 1)
-                of_left[run[left[run] == value]] = True
+        if isinstance(tree, Since):
+            backwards = _deciding_until((left[::-1], right[::-1]), windows.mirrored(), deciding[::-1], value)
+            of_left, of_right = (each[::-1] for each in backwards)
+        else:
+            begin = windows.first if tree.reading == "paper" else None
+            of_left, of_right = _deciding_until((left, right), windows, deciding, value, begin)
         return self.follow(tree.left, of_left) and self.follow(tree.right, of_right)
 
     def _margins(self, tree: Formula) -> Floats:
         return margins_at_samples(tree, self._signals, self._grid)
+
+
+def _deciding_until(
+    sides: tuple[Floats, Floats], windows: Windows, deciding: Flags, value: float, begins: Indices | None = None
+) -> tuple[Flags, Flags]:
+    """Return the samples at which each side of an until has the `value` that it has at the samples `deciding`.
+
+    The left side is read from `begins` on, by default from now on.
+    """
+    left, right = sides
+    of_left, of_right = np.zeros_like(deciding), np.zeros_like(deciding)
+    for k in np.flatnonzero(deciding).tolist():
+        # Of a jump the window may have the sample before it, too.
+        begin = min(k, int(windows.first[k])) if begins is None else int(begins[k])
+        ends = slice(int(windows.first[k]), int(windows.stop[k]))
+        least = np.minimum.accumulate(left[begin : ends.stop])[ends.start - begin :]
+        best = np.flatnonzero(np.minimum(least, right[ends]) == value) + ends.start
+        of_right[best[right[best] == value]] = True
+        # Left decides up to the last of the ends that attain the value, where its minimum is that value.
+        last = best[least[best - ends.start] == value]
+        if last.size:
+            run = np.arange(begin, int(last[-1]) + 1)
+            of_left[run[left[run] == value]] = True
+    return of_left, of_right
 
 
 def _signs(tree: Formula) -> tuple[int, ...]:
@@ -198,13 +242,14 @@ def _negated(tree: Formula) -> Formula:
 def _readable(tree: Formula, grid: Grid) -> Flags:
     """Return where `tree` can be read: its intervals contain a sample, and end before the trajectory does."""
     found: Flags = np.ones(len(grid), dtype=np.bool_)
+    if isinstance(tree, Edge):
+        operand = _readable(tree.operand, grid)
+        return operand & _throughout(operand, grid.windows(STEP_BACK))
     if isinstance(tree, Temporal):
-        windows = grid.windows(tree.interval)
-        found = (windows.first < windows.stop) & grid.reaches(tree.interval)
-        since = windows.since_now() if isinstance(tree, Until) and tree.reading == "standard" else windows
-        spans = (since, windows) if isinstance(tree, Until) else (windows,)
-        for part, span in zip(operands(tree), spans, strict=True):
-            found = found & _throughout(_readable(part, grid), span)
+        of = span(tree)
+        found = (~grid.windows(of).empty | grid.outside(of)) & grid.reaches(of)
+        for part, windows in zip(operands(tree), grid.windows_of(tree), strict=True):
+            found = found & _throughout(_readable(part, grid), windows)
         return found
     for part in operands(tree):
         found = found & _readable(part, grid)
@@ -212,8 +257,8 @@ def _readable(tree: Formula, grid: Grid) -> Flags:
 
 
 def _throughout(flags: Flags, windows: Windows) -> Flags:
-    """Return whether `flags` hold in the whole window of each sample."""
-    found: Flags = sliding.minimum(flags.astype(np.float64), windows) == 1.0
+    """Return whether `flags` hold in the whole window of each sample, as they do in an empty one."""
+    found: Flags = sliding.minimum(flags.astype(np.float64), windows) >= 1.0
     return found
 
 

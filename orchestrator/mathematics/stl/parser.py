@@ -1,30 +1,32 @@
 """Recursive-descent parser of STL formulas: `tokens` has its input, `tree` its output.
 Implements eq. (spec) of [ARA].
 
-Grammar, loosest first (words are lower case; `implies` and `^` group to the right, `until` and the comparisons do not
-chain, the rest groups to the left):
+Grammar, loosest first (words are lower case; `implies` and `^` group to the right, `until` and `since` do not chain,
+the rest groups to the left; `a < b < c` is `a < b and b < c`):
 
     formula     = disjunction [ "implies" formula ]
     disjunction = conjunction { "or" conjunction }
     conjunction = until { "and" until }
-    until       = unary [ ( "until" | "until_from" ) [ interval ] unary ]
-    unary       = ( "not" | ( "always" | "eventually" ) [ interval ] ) unary | comparison
-    interval    = "[" number "," ( number "]" | "inf" ")" )
-    comparison  = sum [ ( "<=" | ">=" | "<" | ">" ) sum ]
+    until       = unary [ ( "until" | "until_from" | "since" ) [ interval ] unary ]
+    unary       = ( "not" | "next" | "previous" | over [ interval ] ) unary | comparison
+    over        = "always" | "eventually" | "historically" | "once"
+    interval    = ( "[" | "(" ) number "," ( number ( "]" | ")" ) | "inf" ")" )
+    comparison  = sum { ( "<=" | ">=" | "<" | ">" | "==" | "!=" ) sum }
     sum         = product { ( "+" | "-" ) product }
     product     = sign { ( "*" | "/" ) sign }
     sign        = "-" sign | power
     power       = atom [ "^" sign ]
-    atom        = number | column | "abs" "(" sum ")" | "(" formula ")"
+    atom        = number | column | function "(" sum { "," sum } ")" | ( "rise" | "fall" ) "(" formula ")"
+                | "(" formula ")"
 
 One ladder serves formulas and arithmetic, so that "(" needs no look-ahead; every operator checks its operands' kind.
 """
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from typing import cast
 
-from ....schemas.values import FORMULA_WORDS
+from ....schemas.values import DISCRETE, FORMULA_FUNCTIONS, FORMULA_WORDS
 from . import hints
 from .cursor import Cursor
 from .errors import FormulaError
@@ -42,15 +44,24 @@ from .tree import (
     Comparison,
     Eventually,
     Expression,
+    Fall,
     Formula,
+    Function,
+    FunctionName,
+    Historically,
     Implies,
     Interval,
     Negative,
+    Next,
     Node,
     Not,
     Number,
+    Once,
     Or,
+    Previous,
     Reading,
+    Rise,
+    Since,
     Until,
     columns,
 )
@@ -58,10 +69,20 @@ from .tree import (
 __all__ = ["Formula", "FormulaError", "columns", "parse_formula"]
 
 _UNTIL: dict[str, Reading] = {"until": "standard", "until_from": "paper"}
+_OVER: dict[str, Callable[[Formula, Interval], Formula]] = {
+    "always": Always,
+    "eventually": Eventually,
+    "historically": Historically,
+    "once": Once,
+}
+_PLAIN: dict[str, Callable[[Formula], Formula]] = {"not": Not, "next": Next, "previous": Previous}
+_EDGES: dict[str, Callable[[Formula], Formula]] = {"rise": Rise, "fall": Fall}
 
 
 def parse_formula(text: str, known: Collection[str] | None = None) -> Formula:
     """Return the tree of the formula `text`; with `known`, refuse a column that is not among them.
+
+    `known` may have the unit of each column: those that are discrete can be compared with == and !=.
 
     Raises:
         FormulaError: the text is no formula, or names an unknown column; the message marks the place.
@@ -74,6 +95,9 @@ def parse_formula(text: str, known: Collection[str] | None = None) -> Formula:
     try:
         return _parsed(text, known)
     except FormulaError as error:
+        if clash := hints.clash(text, known or ()):
+            reason = f"{clash.text!r} is a word of specifications, and names no column; rename it"
+            raise FormulaError(reason, text, clash.position, len(clash.text)) from None
         raise _spelled_error(error, text, known) from None
 
 
@@ -112,6 +136,7 @@ class _Grammar:
 
     def __init__(self, cursor: Cursor, known: Collection[str] | None) -> None:
         self._cursor, self._known = cursor, known
+        self._functions = 0  # around the next token
 
     def formula(self) -> Node:
         start = self._cursor.token
@@ -141,32 +166,46 @@ class _Grammar:
     def _until(self) -> Node:
         start = self._cursor.token
         left = self._unary()
-        word = self._cursor.take(*_UNTIL)
+        word = self._cursor.take(*hints.UNTIL)
         if word is None:
             return left
         interval = _interval(self._cursor)
         right = _condition_phrase(self._cursor, self._unary)
-        return Until(_as_formula(self._cursor, left, start), right, interval, _UNTIL[word])
+        condition = _as_formula(self._cursor, left, start)
+        if word == "since":
+            return Since(condition, right, interval)
+        return Until(condition, right, interval, _UNTIL[word])
 
     def _unary(self) -> Node:
-        word = self._cursor.take("not", "always", "eventually")
+        word = self._cursor.take(*_PLAIN, *_OVER)
         if word is None:
             return self._comparison()
-        interval = REST if word == "not" else _interval(self._cursor)
+        interval = _interval(self._cursor) if word in _OVER else REST
         with self._cursor.nested():
             node = _condition_phrase(self._cursor, self._unary)
-        if word == "not":
-            return Not(node)
-        return Always(node, interval) if word == "always" else Eventually(node, interval)
+        return _OVER[word](node, interval) if word in _OVER else _PLAIN[word](node)
 
     def _comparison(self) -> Node:
         start = self._cursor.token
         left = self._sum()
-        operator = self._cursor.take(*hints.COMPARATORS)
-        if operator is None:
-            return left
-        right = _numeric_phrase(self._cursor, self._sum)
-        return Comparison(cast(Comparator, operator), _as_expression(self._cursor, left, start), right)
+        chain: Formula | None = None
+        while operator := self._cursor.take(*hints.COMPARATORS):
+            sign = self._cursor.before
+            smaller = _as_expression(self._cursor, left, start)
+            left = larger = _numeric_phrase(self._cursor, self._sum)
+            one = Comparison(cast(Comparator, operator), smaller, larger)
+            if reason := hints.equality(one, self._discrete):
+                raise self._cursor.error(reason, sign)
+            chain = one if chain is None else And(chain, one)
+        return left if chain is None else chain
+
+    @property
+    def _discrete(self) -> Collection[str] | None:
+        """The columns of whole numbers; None if no column is known."""
+        if self._known is None:
+            return None
+        units = self._known if isinstance(self._known, Mapping) else {}
+        return {name for name, unit in units.items() if unit == DISCRETE}
 
     def _sum(self) -> Node:
         start = self._cursor.token
@@ -202,30 +241,48 @@ class _Grammar:
         token = self._cursor.token
         if token.kind == "number":
             number = _literal(self._cursor, self._known)
-            if reason := hints.decimal(token, *self._cursor.following):
+            # Between the parentheses of a function a comma is none of a number.
+            if not self._functions and (reason := hints.decimal(token, *self._cursor.following)):
                 raise self._cursor.error(reason, token)
             return number
-        if self._cursor.take("abs"):
-            node = self._parenthesis(f"write abs({self._cursor.token.text or 'x'})")
-            return Absolute(_as_expression(self._cursor, node, token, "; close abs( ) before the comparison"))
         if token.text == "(":
-            return self._parenthesis()
+            return self._parentheses()[0][0]
         if token.kind == "word" and token.text not in FORMULA_WORDS:
             return _column(self._cursor, self._known)
+        if word := self._cursor.take(*_EDGES):
+            ((node, start),) = self._parentheses(f"write {word}(condition)")
+            return _EDGES[word](_as_formula(self._cursor, node, start))
+        if name := self._cursor.take(*FORMULA_FUNCTIONS):
+            return self._function(name, token)
         raise self._cursor.error(hints.unexpected(token))
 
-    def _parenthesis(self, remedy: str = "") -> Node:
+    def _function(self, name: str, token: FormulaToken) -> Expression:
+        self._functions += 1
+        after = self._cursor.token
+        found = self._parentheses(f"write {name}({after.text if after.kind == 'word' else 'x'})", several=True)
+        self._functions -= 1
+        remedy = f"; close {name}( ) before the comparison"
+        arguments = tuple(_as_expression(self._cursor, node, start, remedy) for node, start in found)
+        if reason := hints.arguments(name, len(arguments)):
+            raise self._cursor.error(reason, token)
+        return Absolute(arguments[0]) if name == "abs" else Function(cast(FunctionName, name), arguments)
+
+    def _parentheses(self, remedy: str = "", *, several: bool = False) -> list[tuple[Node, FormulaToken]]:
+        """Return the phrases between parentheses, with the token that each starts with."""
         opened = self._cursor.token
         if not self._cursor.take("("):
             raise self._cursor.error(f"'(' expected; {remedy}")
+        found: list[tuple[Node, FormulaToken]] = []
         with self._cursor.nested():
-            node = self.formula()
+            while not found or (several and self._cursor.take(",")):
+                start = self._cursor.token
+                found.append((self.formula(), start))
         if not self._cursor.take(")"):
             token = self._cursor.token
             if token.kind != "end":
                 raise self._cursor.error(hints.surplus(token))
             raise self._cursor.error(f"')' expected, which closes the '(' of {self._cursor.place(opened)}")
-        return node
+        return found
 
 
 def _condition_phrase(cursor: Cursor, rule: Callable[[], Node]) -> Formula:
@@ -253,27 +310,34 @@ def _as_expression(cursor: Cursor, node: Node, start: FormulaToken, remedy: str 
 
 
 def _interval(cursor: Cursor) -> Interval:
-    if not cursor.take("["):
+    # A number and a comma behind "(" are no condition in parentheses.
+    opens = cursor.token.text == "(" and cursor.ahead(1).kind == "number" and cursor.ahead(2).text == ","
+    if not (opens or cursor.token.text == "["):
         return REST
+    cursor.advance()
     low = _seconds(cursor)
     if not cursor.take(","):
         raise cursor.error("an interval is [a,b] or [a,inf): ',' expected")
     if cursor.take("inf"):
         if not cursor.take(")"):
             raise cursor.error("an interval without end is written [a,inf)")
-        return Interval(low)
+        return Interval(low, low_open=opens)
     start = cursor.token
     high = _seconds(cursor)
     if high < low:
         raise cursor.error("an interval [a,b] needs a <= b", start)
-    if not cursor.take("]"):
-        raise cursor.error("an interval [a,b] includes both ends: ']' expected")
-    return Interval(low, high)
+    closed = cursor.take("]", ")")
+    if closed is None:
+        raise cursor.error("an interval ends with ], where its end belongs to it, or with ): one of them expected")
+    if high == low and (opens or closed == ")"):
+        raise cursor.error("no moment is in this interval: write [a,a] for one moment", start)
+    return Interval(low, high, opens, closed == ")")
 
 
 def _seconds(cursor: Cursor) -> float:
     if cursor.token.kind != "number":
-        raise cursor.error("an interval is [a,b] or [a,inf) with seconds from now: a number of 0 or more expected")
+        past = "; once, historically and since read the past" if cursor.token.text == "-" else ""
+        raise cursor.error(f"an interval is [a,b] or [a,inf) with seconds: a number of 0 or more expected{past}")
     return _literal(cursor, None, "s").value
 
 

@@ -7,16 +7,32 @@
 |          | `t`       | sample times of R rollouts                                   | (T,)   | s                |
 |          | `values`  | their other columns: column, rollout, sample                 | (n-1, R, T) | per column  |
 | mu_j(s)  | `margins` | right - left for <= and <, left - right for >= and >         | (T,)   | of the predicate |
+|          |           | 1/2 - |left - right| for ==, |left - right| - 1/2 for !=     |        |                  |
+
+Both sides of == and != are whole numbers: |left - right| is 0 where they are equal, and at least 1 where not. So the
+sign of the margin is right, 0 never occurs, and one step of a column changes the margin by one.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ....schemas.instants import apart, slack
 from .text import excerpt
-from .tree import Absolute, Arithmetic, Column, Comparison, Expression, Formula, Negative, Number, predicates
+from .tree import (
+    Absolute,
+    Arithmetic,
+    Column,
+    Comparison,
+    Expression,
+    Formula,
+    Function,
+    Negative,
+    Number,
+    predicates,
+)
 
 __all__ = ["Floats", "Signals", "SignalsOfEach", "predicate_sup"]
 
@@ -30,6 +46,17 @@ _ARITHMETIC: Mapping[str, Callable[[Values, Values], Values]] = {
     "/": np.divide,
     "^": np.power,
 }
+_FUNCTIONS: Mapping[str, Callable[..., Values]] = {
+    "sqrt": np.sqrt,
+    "sin": np.sin,
+    "cos": np.cos,
+    "tan": np.tan,
+    "exp": np.exp,
+    "log": np.log,
+}
+_EXTREMES: Mapping[str, Callable[[Values, Values], Values]] = {"max": np.maximum, "min": np.minimum}
+HALF = 0.5
+"""The margin of an equality between whole numbers: half of the least distance of two that differ."""
 
 
 def predicate_sup(tree: Formula, columns: Sequence[str], a: Floats, b: Floats) -> float:
@@ -102,8 +129,8 @@ class Signals:
 
         """
         margins = self.any_margins(predicate)
-        if not np.isfinite(margins).all():
-            raise ValueError(_not_finite(predicate, margins))
+        if not _sound(predicate, margins).all():
+            raise ValueError(_fault(predicate, margins))
         return margins
 
     def any_margins(self, predicate: Comparison) -> Floats:
@@ -115,7 +142,15 @@ class Signals:
         """
         with np.errstate(all="ignore"):  # the caller checks what is not finite
             left, right = self._values(predicate.left), self._values(predicate.right)
-            margin = right - left if predicate.operator in {"<=", "<"} else left - right
+            match predicate.operator:
+                case "<=" | "<":
+                    margin = right - left
+                case ">=" | ">":
+                    margin = left - right
+                case "==":
+                    margin = HALF - np.abs(left - right)
+                case "!=":
+                    margin = np.abs(left - right) - HALF
         return margin if isinstance(margin, np.ndarray) else np.full(self._shape, margin)
 
     def _values(self, tree: Expression) -> Values:
@@ -130,6 +165,14 @@ class Signals:
                 return np.abs(self._values(operand))
             case Arithmetic(operator, left, right):
                 return _ARITHMETIC[operator](self._values(left), self._values(right))
+            case Function("max" | "min" as name, arguments):
+                return reduce(_EXTREMES[name], map(self._values, arguments))
+            case Function(name, (argument,)):
+                values = self._values(argument)
+                # Of numbers that are apart in memory numpy may compute another last digit.
+                return _FUNCTIONS[name](np.ascontiguousarray(values) if isinstance(values, np.ndarray) else values)
+            case Function():
+                raise AssertionError("the parser counts the arguments")
 
     def _column(self, name: str) -> Floats:
         return np.asarray(self._samples[:, self._index(name)], dtype=np.float64)
@@ -173,11 +216,12 @@ class SignalsOfEach(Signals):
 
         """
         margins = self.any_margins(predicate)
-        if not np.isfinite(margins).all():
-            for rollout in np.flatnonzero(~np.isfinite(margins).all(axis=-1)).tolist():
-                # The first predicate that is not finite is the one that `Signals` raises.
+        sound = _sound(predicate, margins)
+        if not sound.all():
+            for rollout in np.flatnonzero(~sound.all(axis=-1)).tolist():
+                # The first predicate with a fault is the one that `Signals` raises.
                 if rollout not in self.faults:
-                    self.faults[rollout] = _not_finite(predicate, margins[rollout])
+                    self.faults[rollout] = _fault(predicate, margins[rollout])
         return margins
 
     def _column(self, name: str) -> Floats:
@@ -187,7 +231,18 @@ class SignalsOfEach(Signals):
         return np.ascontiguousarray(values, dtype=np.float64)
 
 
-def _not_finite(predicate: Comparison, margins: Floats) -> str:
-    """Return what is wrong with margins (T,), some of which are not finite."""
-    sample = int(np.flatnonzero(~np.isfinite(margins))[0])
+def _sound(predicate: Comparison, margins: Floats) -> NDArray[np.bool_]:
+    """Return where a margin is a finite number, and of == and != one between whole numbers."""
+    found = np.isfinite(margins)
+    if predicate.operator in {"==", "!="}:
+        with np.errstate(invalid="ignore"):  # of what is not finite
+            found &= np.mod(margins + HALF, 1.0) == 0.0
+    return found
+
+
+def _fault(predicate: Comparison, margins: Floats) -> str:
+    """Return what is wrong with margins (T,), some of which are not sound."""
+    sample = int(np.flatnonzero(~_sound(predicate, margins))[0])
+    if np.isfinite(margins[sample]):
+        return f"`{excerpt(predicate)}` compares numbers at sample {sample} that are not whole; use <= and >="
     return f"`{excerpt(predicate)}` is {margins[sample]} at sample {sample}, not a finite number"

@@ -6,8 +6,11 @@ nothing.
 
 import math
 from collections.abc import Callable
+from functools import partial, reduce
 from itertools import product
 
+from ....schemas.values import Beyond
+from .predicates import HALF
 from .tree import (
     Absolute,
     Always,
@@ -18,12 +21,21 @@ from .tree import (
     Eventually,
     Expression,
     Formula,
+    Function,
+    Historically,
     Implies,
+    Interval,
     Negative,
+    Next,
     Not,
     Number,
+    Once,
     Or,
+    Previous,
+    Since,
+    Temporal,
     Until,
+    changed,
 )
 
 Range = tuple[float, float]
@@ -31,10 +43,11 @@ Range = tuple[float, float]
 ANY: Range = (-math.inf, math.inf)
 
 
-def reach(tree: Formula) -> Range:
+def reach(tree: Formula, beyond: Beyond = "refuse") -> Range:
     """Return an interval that contains the robustness of `tree` on every trajectory, in its unit.
 
-    It may be too wide, never too narrow: a column that occurs twice counts as two.
+    It may be too wide, never too narrow: a column that occurs twice counts as two. With `beyond` = "truncate" windows
+    beyond the end may be empty.
 
     >>> from perfbound.orchestrator.mathematics.stl.parser import parse_formula
     >>> reach(parse_formula("always (abs(phi) <= 0.75)")), reach(parse_formula("x > 1 or x^2 <= 4"))
@@ -43,23 +56,63 @@ def reach(tree: Formula) -> Range:
     (0.5, inf)
     """
     match tree:
-        case Comparison(operator, left, right):
-            larger, smaller = (right, left) if operator in {"<=", "<"} else (left, right)
-            return _difference(_range(larger), _range(smaller))
+        case Comparison():
+            return _margin(tree)
         case Not(operand):
-            return _negative(reach(operand))
+            return _negative(reach(operand, beyond))
         case And(left, right):
-            return _extreme(min, reach(left), reach(right))
+            return _extreme(min, reach(left, beyond), reach(right, beyond))
         case Or(left, right):
-            return _extreme(max, reach(left), reach(right))
+            return _extreme(max, reach(left, beyond), reach(right, beyond))
         case Implies(left, right):
-            return _extreme(max, _negative(reach(left)), reach(right))
-        case Always(operand) | Eventually(operand):
-            return reach(operand)  # an extreme of values of the operand
-        case Until(left, right):
+            return _extreme(max, _negative(reach(left, beyond)), reach(right, beyond))
+        case _:
+            return _over_time(tree, beyond)
+
+
+def _margin(tree: Comparison) -> Range:
+    left, right = _range(tree.left), _range(tree.right)
+    if tree.operator in {"==", "!="}:
+        apart = _absolute(_difference(left, right))
+        half = (HALF, HALF)
+        return _difference(half, apart) if tree.operator == "==" else _difference(apart, half)
+    larger, smaller = (right, left) if tree.operator in {"<=", "<"} else (left, right)
+    return _difference(larger, smaller)
+
+
+def _over_time(tree: Temporal, beyond: Beyond) -> Range:
+    """Return the range of an extreme of values of the operand; over no sample it is infinite."""
+    ahead = beyond == "truncate"
+    match tree:
+        case Always(operand, interval):
+            return _or_none(reach(operand, beyond), math.inf, ahead and _may_be_empty(interval))
+        case Eventually(operand, interval):
+            return _or_none(reach(operand, beyond), -math.inf, ahead and _may_be_empty(interval))
+        case Historically(operand, interval):
+            return _or_none(reach(operand, beyond), math.inf, _may_be_empty(interval))
+        case Once(operand, interval):
+            return _or_none(reach(operand, beyond), -math.inf, _may_be_empty(interval))
+        case Next(operand):
+            return _or_none(reach(operand, beyond), -math.inf, ahead)
+        case Previous(operand):
+            return _or_none(reach(operand, beyond), -math.inf, True)
+        case Until(left, right, interval) | Since(left, right, interval):
             # Some value of `right`, or a smaller one of `left`.
-            first, second = reach(left), reach(right)
-            return min(first[0], second[0]), second[1]
+            first, second = reach(left, beyond), reach(right, beyond)
+            empty = (ahead or isinstance(tree, Since)) and _may_be_empty(interval)
+            return _or_none((min(first[0], second[0]), second[1]), -math.inf, empty)
+        case _:
+            return reach(changed(tree), beyond)
+
+
+def _may_be_empty(interval: Interval) -> bool:
+    """Whether a window at the start or at the end of a trajectory may have no sample: not if it has its own one."""
+    return interval.low > 0.0 or interval.low_open
+
+
+def _or_none(found: Range, value: float, empty: bool) -> Range:
+    """Return a range with the value over no sample, if that may be."""
+    return (min(found[0], value), max(found[1], value)) if empty else found
 
 
 def _range(tree: Expression) -> Range:
@@ -74,6 +127,37 @@ def _range(tree: Expression) -> Range:
             return _absolute(_range(operand))
         case Arithmetic(operator, left, right):
             return _arithmetic(operator, _range(left), _range(right))
+        case Function(name, arguments):
+            return _function(name, [_range(each) for each in arguments])
+
+
+def _function(name: str, found: list[Range]) -> Range:
+    low, high = found[0]
+    match name:
+        case "max" | "min":
+            return reduce(partial(_extreme, max if name == "max" else min), found)
+        case "sin" | "cos":
+            return -1.0, 1.0
+        case "sqrt" if high >= 0.0:
+            return math.sqrt(max(low, 0.0)), math.sqrt(high)
+        case "exp":  # two libraries may round it differently
+            return max(0.0, _nearby(_exponential(low), -math.inf)), _nearby(_exponential(high), math.inf)
+        case "log" if high > 0.0:
+            least = math.log(low) if low > 0.0 else -math.inf
+            return _nearby(least, -math.inf), _nearby(math.log(high), math.inf)
+        case _:
+            return ANY
+
+
+def _exponential(value: float) -> float:
+    try:
+        return math.exp(value)
+    except OverflowError:
+        return math.inf
+
+
+def _nearby(value: float, towards: float) -> float:
+    return math.nextafter(math.nextafter(value, towards), towards)
 
 
 def _arithmetic(operator: str, left: Range, right: Range) -> Range:

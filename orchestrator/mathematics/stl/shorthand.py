@@ -20,9 +20,24 @@ _WORDS = {
     "ev": "eventually",
     "globally": "always",
     "finally": "eventually",
+    "S": "since",
+    "O": "once",
+    "P": "once",
+    "H": "historically",
+    "hist": "historically",
+    "X": "next",
+    "Y": "previous",
+    "prev": "previous",
+    "yesterday": "previous",
+    "rose": "rise",
+    "fell": "fall",
+    "ln": "log",
     "always": "always",  # always_[0,1]
     "eventually": "eventually",
     "until": "until",
+    "since": "since",
+    "once": "once",
+    "historically": "historically",
 }
 _SIGNS = {
     "&&": " and ",
@@ -44,6 +59,10 @@ _SIGNS = {
     "\u00ac": " not ",
     "\u25a1": " always ",
     "\u25c7": " eventually ",
+    "\u25cb": " next ",
+    "\u2260": " != ",
+    "~=": " != ",
+    "<>": " != ",
     "\u2264": " <= ",
     "\u2265": " >= ",
     "=<": " <= ",
@@ -63,7 +82,7 @@ _SIGNS = {
 }
 _READINGS: tuple[Mapping[str, str], ...] = ({}, {"=>": " >= "})
 """Signs with two meanings, of which one gives a formula."""
-_NOT_BEFORE = {"!": "(?!=)"}
+_NOT_BEFORE = {"!": "(?!=)", "~": "(?!=)"}
 _NOT_BEHIND = {"=>": "(?<![<>])"}
 _SIGN = "|".join(
     _NOT_BEHIND.get(sign, "") + re.escape(sign) + _NOT_BEFORE.get(sign, "")
@@ -118,9 +137,9 @@ def _spelled(text: str, known: Collection[str], reading: Mapping[str, str]) -> S
         elif match["size"]:
             found = f"abs({match['size'].strip()})"
         elif match["interval"]:
-            # `[0,5)` is another interval than that of the grammar, and `f(0,5)` is none.
-            if _TIMED.search(match.string[: match.start()]) and (found[0] == "(" or "," not in found):
-                found = f"[{match['low']},{match['high']}{')' if match['high'] == 'inf' else ']'}"
+            # `f(0:5)` is no interval.
+            if _TIMED.search(match.string[: match.start()]) and "," not in found:
+                found = f"{found[0]}{match['low']},{match['high']}{')' if match['high'] == 'inf' else found[-1]}"
         elif found not in known or match["phrase"]:
             found = _WORDS.get(match["word"] or found, found.lower())
             found = _WORDS.get(found, found)

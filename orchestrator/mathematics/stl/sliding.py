@@ -29,31 +29,41 @@ Join = Callable[[Floats, Floats], Floats]
 
 
 def minimum(values: Floats, windows: Windows) -> Floats:
-    """Return the smallest of `values` (..., T) in each window, same shape; that of an empty window has no meaning."""
-    return _extremum(np.minimum, values, windows)
+    """Return the smallest of `values` (..., T) in each window, same shape; inf in an empty one."""
+    return _filled(_extremum(np.minimum, values, windows), windows, np.inf)
 
 
 def maximum(values: Floats, windows: Windows) -> Floats:
-    """Return the largest of `values` (..., T) in each window, same shape; that of an empty window has no meaning."""
-    return _extremum(np.maximum, values, windows)
+    """Return the largest of `values` (..., T) in each window, same shape; -inf in an empty one."""
+    return _filled(_extremum(np.maximum, values, windows), windows, -np.inf)
 
 
 def until(left: Floats, right: Floats, windows: Windows) -> Floats:
     """Return the largest over i in each window of min(right_i, min of left from the window's first sample to i).
 
-    The value of an empty window has no meaning. Block: (that number, min of left). Two blocks A, B that overlap or
+    It is -inf in an empty window. Block: (that number, min of left). Two blocks A, B that overlap or
     touch join to (max(A_0, min(A_1, B_0)), min(A_1, B_1)): for an i in both, B's term is at most A's.
     """
     largest: Floats = _join_windows(_join_until, np.stack([np.minimum(left, right), left]), windows)[0]
-    return largest
+    return _filled(largest, windows, -np.inf)
 
 
 def _extremum(extremum: np.ufunc, values: Floats, windows: Windows) -> Floats:
-    if not windows.to_end:
-        return _join_windows(extremum, values, windows)
-    # Windows that all end with the trajectory need one running extremum from its end.
-    rest: Floats = extremum.accumulate(values[..., ::-1], axis=-1)[..., ::-1]
-    return _gather(rest, windows.first)
+    # Windows that all end, or begin, with the trajectory need one running extremum from there.
+    if windows.to_end:
+        rest: Floats = extremum.accumulate(values[..., ::-1], axis=-1)[..., ::-1]
+        return _gather(rest, windows.first)
+    if windows.from_start:
+        return _gather(extremum.accumulate(values, axis=-1), np.maximum(windows.stop - 1, 0))
+    return _join_windows(extremum, values, windows)
+
+
+def _filled(found: Floats, windows: Windows, value: float) -> Floats:
+    """Return `found` with the extremum of no value in the place of every empty window."""
+    empty = windows.empty
+    if empty.any():
+        found[..., empty] = value
+    return found
 
 
 def _run(samples: Indices) -> Indices | slice:

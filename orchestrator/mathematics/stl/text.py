@@ -10,14 +10,22 @@ from .tree import (
     Comparison,
     Eventually,
     Expression,
+    Fall,
     Formula,
+    Function,
+    Historically,
     Implies,
     Interval,
     Negative,
+    Next,
     Node,
     Not,
     Number,
+    Once,
     Or,
+    Previous,
+    Rise,
+    Since,
     Temporal,
     Until,
 )
@@ -63,26 +71,31 @@ def number(value: float) -> str:
     return repr(float(value)).removesuffix(".0")
 
 
-def operator(tree: Temporal) -> str:
-    """Return the word of a temporal operator."""
+def operator(tree: Temporal | Not) -> str:
+    """Return the word of an operator."""
     match tree:
-        case Always():
-            return "always"
-        case Eventually():
-            return "eventually"
         case Until():
             return "until" if tree.reading == "standard" else "until_from"
+        case _:
+            return type(tree).__name__.lower()
 
 
 def _formula(tree: Formula) -> list[Piece]:
     match tree:
         case Comparison(sign, left, right):
             return [*_within(left, _SUM), f" {sign} ", *_within(right, _SUM)]
-        case Not(operand):
-            return ["not ", *_within(operand, _UNARY)]
-        case Always(operand, interval) | Eventually(operand, interval):
+        case Not(operand) | Next(operand) | Previous(operand):
+            return [f"{operator(tree)} ", *_within(operand, _UNARY)]
+        case Rise(operand) | Fall(operand):
+            return [f"{operator(tree)}(", operand, ")"]
+        case (
+            Always(operand, interval)
+            | Eventually(operand, interval)
+            | Historically(operand, interval)
+            | Once(operand, interval)
+        ):
             return [f"{operator(tree)}{_brackets(interval)} ", *_within(operand, _UNARY)]
-        case Until(left, right, interval):
+        case Until(left, right, interval) | Since(left, right, interval):
             return [*_within(left, _UNARY), f" {operator(tree)}{_brackets(interval)} ", *_within(right, _UNARY)]
         case And(left, right):
             return [*_within(left, _CONJUNCTION), " and ", *_within(right, _UNTIL)]
@@ -102,6 +115,8 @@ def _expression(tree: Expression) -> list[Piece]:
             return ["-", *_within(operand, _SIGN)]
         case Absolute(operand):
             return ["abs(", operand, ")"]
+        case Function(name, arguments):
+            return [f"{name}(", *[piece for each in arguments for piece in (", ", each)][1:], ")"]
         case Arithmetic("^", left, right):
             return [*_within(left, _ATOM), "^", *_within(right, _SIGN)]
         case Arithmetic(sign, left, right):
@@ -122,13 +137,13 @@ def _binding(tree: Node) -> int:
             return _DISJUNCTION
         case And():
             return _CONJUNCTION
-        case Until():
+        case Until() | Since():
             return _UNTIL
         case Arithmetic():
             return _BINDING[tree.operator]
         case Negative():
             return _SIGN
-        case Number() | Column() | Absolute():
+        case Number() | Column() | Absolute() | Function():
             return _ATOM
         case _:
             return _UNARY
@@ -137,5 +152,6 @@ def _binding(tree: Node) -> int:
 def _brackets(interval: Interval) -> str:
     if interval == REST:
         return ""
-    end = f"{number(interval.high)}]" if interval.bounded else "inf)"
-    return f"[{number(interval.low)},{end}"
+    opening, closing = "(" if interval.low_open else "[", ")" if interval.high_open else "]"
+    end = f"{number(interval.high)}{closing}" if interval.bounded else "inf)"
+    return f"{opening}{number(interval.low)},{end}"

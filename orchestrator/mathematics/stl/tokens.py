@@ -17,7 +17,7 @@ Kind = Literal["number", "word", "sign", "end"]
 _TOKEN = re.compile(
     r"""\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)
           |(?P<word>[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*|%|\u00b0)
-          |(?P<sign><=|>=|[-+*/^()<>,]|\[|\]))""",
+          |(?P<sign><=|>=|==|!=|[-+*/^()<>,]|\[|\]))""",
     re.ASCII | re.VERBOSE,
 )
 
@@ -54,8 +54,8 @@ def tokens(text: str) -> list[FormulaToken]:
 
 
 def _bad_character(character: str) -> str:
-    if character in "=!\u2260":
-        return "equality has no robustness: use <=, >=, < or >, or abs(a - b) <= 0.1 with your tolerance for a = b"
+    if character == "=":
+        return "use <=, >=, < or >; `==` of a discrete column, or abs(a - b) <= 0.1 with your tolerance for a = b"
     if character in "&|":
         return "write `and`, `or`, `implies`"
     return f"unexpected character {character!r}"

@@ -3,29 +3,38 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
-from typing import Literal
+from typing import Literal, get_args
 
 ArithmeticOperator = Literal["+", "-", "*", "/", "^"]
-Comparator = Literal["<=", ">=", "<", ">"]
+FunctionName = Literal["max", "min", "sqrt", "sin", "cos", "tan", "exp", "log"]
+Comparator = Literal["<=", ">=", "<", ">", "==", "!="]
 Reading = Literal["standard", "paper"]
 """Semantics of the left operand of `until`: from now on, or from the start of the interval on as in [ARA]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """Seconds from now, both ends included; `high` = inf means to the end of the trajectory.
+    """Seconds from now, or of the past seconds ago; an end belongs to it unless it is open.
+
+    `high` = inf means to the end of the trajectory, or to its start.
 
     Raises:
-        ValueError: not 0 <= low <= high, or `low` is not finite.
+        ValueError: not 0 <= low <= high, `low` is not finite, or no time is in the interval.
 
     """
 
     low: float = 0.0
     high: float = math.inf
+    low_open: bool = False
+    high_open: bool = False
 
     def __post_init__(self) -> None:
         if not (0 <= self.low <= self.high and math.isfinite(self.low)):
             raise ValueError(f"an interval needs 0 <= low <= high, not [{self.low!r}, {self.high!r}]")
+        if self.low == self.high and (self.low_open or self.high_open):
+            raise ValueError(f"an interval of one moment is [{self.low!r}, {self.low!r}], with both ends")
+        if self.high_open and not self.bounded:
+            raise ValueError("an interval without end has no end that is open")
 
     @property
     def bounded(self) -> bool:
@@ -34,7 +43,18 @@ class Interval:
 
 
 REST = Interval()
-"""From now to the end of the trajectory: the interval of an operator without one."""
+"""From now to the end of the trajectory, or of the past to its start: the interval of an operator without one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """The samples that an operator over time reads: those of an interval ahead or behind, or without one the next."""
+
+    interval: Interval | None
+    past: bool = False
+
+
+STEP_BACK = Span(None, past=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,12 +103,20 @@ class Arithmetic:
     right: "Expression"
 
 
-Expression = Number | Column | Negative | Absolute | Arithmetic
+@dataclass(frozen=True, slots=True)
+class Function:
+    """name(arguments), on numbers."""
+
+    name: FunctionName
+    arguments: tuple["Expression", ...]
+
+
+Expression = Number | Column | Negative | Absolute | Arithmetic | Function
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """A predicate."""
+    """A predicate; `==` and `!=` compare whole numbers, those of discrete columns."""
 
     operator: Comparator
     left: Expression
@@ -152,28 +180,78 @@ class Until:
     reading: Reading = "standard"
 
 
-Temporal = Always | Eventually | Until
+@dataclass(frozen=True, slots=True)
+class Historically:
+    """At every sample of the interval before now."""
+
+    operand: "Formula"
+    interval: Interval = REST
+
+
+@dataclass(frozen=True, slots=True)
+class Once:
+    """At some sample of the interval before now."""
+
+    operand: "Formula"
+    interval: Interval = REST
+
+
+@dataclass(frozen=True, slots=True)
+class Since:
+    """`right` at some sample of the interval before now, and `left` from there to now: `until`, backwards in time."""
+
+    left: "Formula"
+    right: "Formula"
+    interval: Interval = REST
+
+
+@dataclass(frozen=True, slots=True)
+class Next:
+    """At the next sample, which is there."""
+
+    operand: "Formula"
+
+
+@dataclass(frozen=True, slots=True)
+class Previous:
+    """At the sample before, which is there."""
+
+    operand: "Formula"
+
+
+@dataclass(frozen=True, slots=True)
+class Rise:
+    """False at the sample before, which is there, and true now."""
+
+    operand: "Formula"
+
+
+@dataclass(frozen=True, slots=True)
+class Fall:
+    """True at the sample before, which is there, and false now."""
+
+    operand: "Formula"
+
+
+Ahead = Always | Eventually | Until
+Behind = Historically | Once | Since
+Timed = Ahead | Behind
+Edge = Rise | Fall
+Temporal = Timed | Next | Previous | Edge
 Formula = Comparison | Not | And | Or | Implies | Temporal
 Node = Expression | Formula
 
 _PARTS: dict[type[Node], tuple[str, ...]] = {
     kind: tuple(field.name for field in fields(kind) if field.name in {"operand", "left", "right"})
-    for kind in (
-        Number,
-        Column,
-        Negative,
-        Absolute,
-        Arithmetic,
-        Comparison,
-        Not,
-        And,
-        Or,
-        Implies,
-        Always,
-        Eventually,
-        Until,
-    )
+    for kind in get_args(Node)
 }
+
+
+def children(tree: Node) -> tuple[Node, ...]:
+    """Return the nodes of which `tree` is made, left to right."""
+    if isinstance(tree, Function):
+        return tree.arguments
+    return tuple(getattr(tree, part) for part in _PARTS[type(tree)])
 
 
 def walk(tree: Node) -> Iterator[Node]:
@@ -182,7 +260,7 @@ def walk(tree: Node) -> Iterator[Node]:
     while open_nodes:
         node = open_nodes.pop()
         yield node
-        open_nodes.extend(getattr(node, part) for part in _PARTS[type(node)])
+        open_nodes.extend(children(node))
 
 
 def operands(tree: Formula) -> tuple[Formula, ...]:
@@ -190,6 +268,29 @@ def operands(tree: Formula) -> tuple[Formula, ...]:
     if isinstance(tree, Comparison):
         return ()
     return tuple(getattr(tree, part) for part in _PARTS[type(tree)])
+
+
+def span(tree: Temporal) -> Span:
+    """Return the samples that an operator over time reads; `rise` and `fall` also read their own."""
+    match tree:
+        case Always() | Eventually() | Until():
+            return Span(tree.interval)
+        case Historically() | Once() | Since():
+            return Span(tree.interval, past=True)
+        case Next():
+            return Span(None)
+        case Previous() | Rise() | Fall():
+            return STEP_BACK
+
+
+def changed(tree: Edge) -> And:
+    """Return what `rise` and `fall` mean.
+
+    >>> changed(Rise(Comparison(">", Column("x"), Number(1.0)))).left
+    Previous(operand=Not(operand=Comparison(operator='>', left=Column(name='x'), right=Number(value=1.0))))
+    """
+    before, now = tree.operand, Not(tree.operand)
+    return And(Previous(now), before) if isinstance(tree, Rise) else And(Previous(before), now)
 
 
 def columns(tree: Node) -> frozenset[str]:

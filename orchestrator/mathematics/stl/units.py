@@ -22,7 +22,7 @@ def mixed_units(formulas: Mapping[str, str], units: Mapping[str, str]) -> Iterat
 
     """
     for name, formula in formulas.items():
-        tree = parse_formula(formula, tuple(units))
+        tree = parse_formula(formula, units)
         found = {_unit(each, units) for each in stl.predicates(tree)}
         listed = [each or "numbers" for each in dict.fromkeys(units.values()) if each in found]
         if len(listed) < 2:
@@ -38,13 +38,19 @@ def mixed_units(formulas: Mapping[str, str], units: Mapping[str, str]) -> Iterat
 def _unit(predicate: stl.Comparison, units: Mapping[str, str]) -> str | None:
     """Return the unit of a predicate; None where its columns have several, or are multiplied."""
     found = {units[name] for name in stl.columns(predicate)}
-    multiplied = any(isinstance(each, stl.Arithmetic) and each.operator in "*/^" for each in stl.walk(predicate))
+    multiplied = any(
+        (isinstance(each, stl.Arithmetic) and each.operator in "*/^")
+        or (isinstance(each, stl.Function) and each.name not in {"max", "min"})
+        for each in stl.walk(predicate)
+    )
     return found.pop() if len(found) == 1 and not multiplied else None
 
 
 def _scaled(tree: Any) -> Any:
     """Return a formula with every predicate divided by its limit; None where one has no limit but 0."""
     if isinstance(tree, stl.Comparison):
+        if tree.operator in {"==", "!="}:  # a number of steps, and so no unit
+            return tree
         limit = tree.right.operand if isinstance(tree.right, stl.Negative) else tree.right
         if not isinstance(limit, stl.Number) or limit.value == 0.0:
             return None

@@ -93,7 +93,7 @@ def score(specification: str | None, spec: SystemSpec) -> Score:
     if specification is None:
         return lambda trajectory: float(trajectory.column(spec.columns[1].name).min())
     try:
-        formula = parse_formula(specification, [column.name for column in spec.columns])
+        formula = parse_formula(specification, spec.units)
     except FormulaError as error:
         raise PerfboundError(f"--specification: {error}") from None
 

@@ -145,11 +145,14 @@ def question_words(header: Header, quantity: Quantity | None, listed: int | None
     where = "At starts that are drawn as declared" if is_sampled(quantity) else every
     if quantity in OF_MARGIN and config.formula is not None:
         margin, reading = OF_MARGIN[quantity]
-        within, required = reach_of(config.formula, header.spec.after_end), config.required_margin
+        within, required = reach_of(config.formula, header.spec.after_end, config.beyond), config.required_margin
         clip = hiding(config.clip, within, reading, ">=", risk_weight=config.risk_weight, bound=required)
         clipped = "" if clip is None else f", {clip_words(clip)},"
         least = f"{margin.format(risk=config.risk_weight)}{clipped} must be at least {as_required(required)}{shown}"
-        return f"{where}, {least}. The margin of a rollout is its robustness: 0 is just met, and below 0 it violates."
+        cut = " Its windows are truncated at the end of the rollout." if config.beyond == "truncate" else ""
+        return (
+            f"{where}, {least}. The margin of a rollout is its robustness: 0 is just met, and below 0 it violates.{cut}"
+        )
     if quantity == "failure_probability":
         limit = config.required_at_most
         at_most = "is asked for, without a limit" if limit is None else f"must be at most {as_required(limit)}"

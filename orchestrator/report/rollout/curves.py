@@ -42,7 +42,7 @@ def formula(header: Header) -> Formula | None:
     """Return the specification; None if there is none, or if its grammar is that of another version."""
     text = header.config.formula
     try:
-        return None if text is None else parse_formula(text, [column.name for column in header.spec.columns])
+        return None if text is None else parse_formula(text, header.spec.units)
     except FormulaError:
         return None
 

@@ -60,7 +60,7 @@ def of_test(
             )
             traces += of_rollout(columns)
             more += of_rollout(further, most=curves.FURTHER_POINTS)
-            drawn.append(over_time.with_margin(fact, trajectory, tree, header.spec.after_end))
+            drawn.append(over_time.with_margin(fact, trajectory, tree, header.spec.after_end, header.config.beyond))
     shown, listed = over_time.shown_formula(tree), _worst_first(facts)[:MOST_ROLLOUTS]
     return RolloutsOfTest(
         problem=facts[0].rollout.problem,

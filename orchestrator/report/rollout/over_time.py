@@ -5,6 +5,7 @@ import numpy as np
 from ....schemas.result.facts import RolloutFact
 from ....schemas.system import ENDED, AfterEnd
 from ....schemas.trajectory.trajectory import Trajectory
+from ....schemas.values import Beyond
 from ...mathematics.stl.over_time import outermost, robustness_signal, worst_moment
 from ...mathematics.stl.text import text
 from ...mathematics.stl.tree import Always, Eventually, Formula
@@ -31,17 +32,21 @@ def shown_formula(tree: Formula | None) -> tuple[str, str]:
 
 
 def with_margin(
-    fact: RolloutFact, trajectory: Trajectory, tree: Formula | None, after_end: AfterEnd | None = None
+    fact: RolloutFact,
+    trajectory: Trajectory,
+    tree: Formula | None,
+    after_end: AfterEnd | None = None,
+    beyond: Beyond = "refuse",
 ) -> DrawnRollout:
     """Return a recorded rollout with its robustness over time, which a rollout without a robustness has not."""
     t, margin, moment, columns = tuple[float, ...](), tuple[float, ...](), None, frozenset[str]()
     samples = trajectory.samples
     if tree is not None and fact.robustness is not None and len(samples) > 1:
-        signal = robustness_signal(tree, trajectory.columns, samples)
+        signal = robustness_signal(tree, trajectory.columns, samples, beyond)
         read = ~np.isnan(signal.values)
         t, margin = thinned(samples[read, 0], signal.values[read])
         # Down the tree of the formula, not where the signal is least: right for nested operators and until as well.
-        found = worst_moment(tree, trajectory.columns, samples)
+        found = worst_moment(tree, trajectory.columns, samples, beyond)
         if found is not None:
             moment, columns = (float(samples[found.first, 0]), float(samples[found.last, 0])), found.columns
     failed_at = fact.ended if after_end == "fail" and fact.robustness is not None else None

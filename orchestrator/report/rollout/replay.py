@@ -11,6 +11,7 @@ from ....schemas import atomic
 from ....schemas.errors import PerfboundError, TrajectoryError
 from ....schemas.trajectory.batch import digest_of, read_batch
 from ....schemas.trajectory.trajectory import Floats, Trajectory, decode
+from ....schemas.values import Beyond
 from ...fleet.children.simulate import draw_to, simulate_to
 from ...mathematics.stl.over_time import robustness_signal
 from ...mathematics.stl.tree import Formula
@@ -113,7 +114,7 @@ def _picture(found: RecordedRollout, again: Trajectory) -> bytes:
     problem = next((each for each in problems if each.name == found.fact.rollout.problem), problems[0])
     columns = curves.relevant_columns(header, problem) or again.columns[1:2]
     limits = curves.limits(header, columns)
-    margin = margins(curves.formula(header), again)
+    margin = margins(curves.formula(header), again, header.config.beyond)
     return picture.drawn(
         picture.Picture(
             title=_title(found),
@@ -130,12 +131,12 @@ def _picture(found: RecordedRollout, again: Trajectory) -> bytes:
     )
 
 
-def margins(tree: Formula | None, trajectory: Trajectory) -> Floats | None:
+def margins(tree: Formula | None, trajectory: Trajectory, beyond: Beyond = "refuse") -> Floats | None:
     """Return the robustness of the condition at every sample, (T,) in the unit of the predicates; None without one.
 
     Only `always f` over the whole trajectory, or a conjunction of such, has one; its least value is the robustness.
     """
     if tree is None:
         return None
-    found = robustness_signal(tree, trajectory.columns, trajectory.samples)
+    found = robustness_signal(tree, trajectory.columns, trajectory.samples, beyond)
     return found.values if found.attained == "least" and not np.isnan(found.values).any() else None

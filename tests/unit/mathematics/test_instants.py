@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from perfbound.orchestrator.mathematics.stl.grid import Grid, StrictGrid
+from perfbound.orchestrator.mathematics.stl.grid import Grid, OtherReading
 from perfbound.orchestrator.mathematics.stl.parser import parse_formula
 from perfbound.orchestrator.mathematics.stl.predicates import Signals, check_grids
 from perfbound.orchestrator.mathematics.stl.robustness import evaluated, margins_at_samples, robustness
@@ -34,11 +34,16 @@ def random_formula(rng: np.random.Generator, step: float, steps: int) -> str:
 
     def window(most: int) -> str:
         ends = sorted(moment(most - 1) for _ in range(2))
+        opening, closing = rng.choice(["[", "[", "("]), rng.choice(["]", "]", ")"])
         # Long enough to hold a sample.
-        return f"[{ends[0]:.12g},{ends[1] + step:.12g}]"
+        return f"{opening}{ends[0]:.12g},{ends[1] + step * (1 + (opening + closing != '[]')):.12g}{closing}"
 
-    inner, outer = max(steps // 4, 2), max(steps // 2, 2)
-    kind = rng.integers(4)
+    inner, outer = max(steps // 4 - 1, 1), max(steps // 2 - 1, 1)
+    kind = rng.integers(6)
+    if kind == 4:
+        return f"always{window(outer)} ({predicate()} or once{window(inner)} {predicate()})"
+    if kind == 5:
+        return f"eventually{window(outer)} ({predicate()} or ({predicate()} since{window(inner)} {predicate()}))"
     if kind == 0:
         return f"always{window(outer)} {predicate()}"
     if kind == 1:
@@ -66,7 +71,15 @@ def spoiled(rng: np.random.Generator, exact: Floats, step: float) -> tuple[str, 
 
 def by_numbers(tree: Formula, samples: Floats) -> float:
     """Return the robustness by windows without a tolerance."""
-    return float(margins_at_samples(tree, Signals(NAMES, samples), StrictGrid(Grid(samples[:, 0])))[0])
+    grid = Strict(Grid(samples[:, 0]), wide=False)
+    return float(margins_at_samples(tree, Signals(NAMES, samples), grid)[0])
+
+
+class Strict(OtherReading):
+    """The windows by the numbers of the stamps alone, at open borders, too."""
+
+    def _instants(self, *, opened: bool) -> tuple[Floats, Floats]:
+        return self._strictly
 
 
 @pytest.mark.rest

@@ -26,19 +26,28 @@ from perfbound.orchestrator.mathematics.stl.horizon import check_horizon
 from perfbound.orchestrator.mathematics.stl.parser import parse_formula
 from perfbound.orchestrator.mathematics.stl.predicates import Floats, predicate_sup
 from perfbound.orchestrator.mathematics.stl.robustness import robustness
-from perfbound.orchestrator.mathematics.stl.text import text
+from perfbound.orchestrator.mathematics.stl.text import operator, text
 from perfbound.orchestrator.mathematics.stl.tree import (
     REST,
     Always,
     And,
     Comparison,
     Eventually,
+    Fall,
     Formula,
+    Historically,
     Implies,
     Interval,
+    Next,
     Not,
+    Once,
     Or,
+    Previous,
+    Rise,
+    Since,
+    Temporal,
     Until,
+    changed,
 )
 from tests.studies.benchmarks.report import Row
 
@@ -48,6 +57,8 @@ COLUMNS = ("t", "phi", "x", "y")
 STEP = 10  # ms; rtamt wants intervals that are multiples of it
 SAMPLES = 1801
 AGREEMENTS = 300
+LONGEST = 0.5
+"""s; no trajectory of the random formulas is longer."""
 TIMED = {
     "always": "always (abs(phi) <= 0.95)",
     "always[0,15]": "always[0,15] (abs(phi) <= 0.95)",
@@ -164,12 +175,33 @@ def translate(tree: Formula) -> str:
             return f"({translate(left)} or {translate(right)})"
         case Implies(left, right):
             return f"({translate(left)} -> {translate(right)})"
+        case _:
+            return _over_time(tree)
+
+
+def _over_time(tree: Temporal) -> str:
+    match tree:
         case Always(operand, interval):
             return _from(interval, lambda between: f"(always{between} {translate(operand)})")
         case Eventually(operand, interval):
             return _from(interval, lambda between: f"(eventually{between} {translate(operand)})")
         case Until():
             return _until(tree)
+        case Historically(operand, interval) | Once(operand, interval):
+            return f"({operator(tree)}{_past(interval)} {translate(operand)})"
+        case Since(left, right, interval):
+            return f"({translate(left)} since{_past(interval)} ({translate(left)} and {translate(right)}))"
+        case Next(operand):
+            return f"(not (next (not {translate(operand)})))"
+        case Previous(operand):
+            return f"(not (prev (not {translate(operand)})))"
+        case Rise() | Fall():
+            return translate(changed(tree))
+
+
+def _past(interval: Interval) -> str:
+    """Write an interval of the past; rtamt has none that ends with the trajectory."""
+    return "" if interval == REST else _between(interval.low, min(interval.high, LONGEST))
 
 
 def _until(tree: Until) -> str:
@@ -202,9 +234,10 @@ def _largest_difference() -> float:
         tree, samples = _draw(rng, 3), _samples(rng.randint(5, 40), rng.randrange(2**32))
         try:
             check_horizon(tree, float(samples[-1, 0]))
-        except ValueError:
+            ours = robustness(tree, COLUMNS, samples)
+        except ValueError:  # too long, or decided by what is before the start
             continue
-        differences.append(abs(robustness(tree, COLUMNS, samples) - Rtamt(tree, samples).robustness()))
+        differences.append(abs(ours - Rtamt(tree, samples).robustness()))
     return max(differences)
 
 
@@ -218,6 +251,8 @@ def _draw(rng: random.Random, depth: int) -> Formula:
     options: list[Formula] = [Not(left), And(left, right), Or(left, right), Implies(left, right)]
     options += [Always(left, interval), Eventually(left, interval)]
     options += [Until(left, right, interval), Until(left, right, interval, "paper")] * 2
+    options += [Historically(left, interval), Once(left, interval), Since(left, right, interval)]
+    options += [Previous(left), Rise(left), Fall(left)]
     return rng.choice(options)
 
 

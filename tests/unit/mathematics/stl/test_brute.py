@@ -28,7 +28,8 @@ OPERATIONS: dict[str, Callable[..., float]] = {
     "neg": lambda a: -a,
     "abs": abs,
 }
-WORDS = {"always", "eventually", "until", "until_from"}
+WORDS = {"always", "eventually", "until", "until_from", "historically", "once", "since"}
+STEPS = {"next", "previous", "rise", "fall"}
 
 
 class RefusedError(Exception):
@@ -44,6 +45,8 @@ def render(node: Any) -> str:
         return f"abs({render(node[1])})"
     if node[0] == "not":
         return f"(not {render(node[1])})"
+    if node[0] in STEPS:
+        return f"({node[0]} ({render(node[1])}))"
     if node[0] not in WORDS:
         return f"({render(node[1])} {node[0]} {render(node[2])})"
     parts = [render(part) for part in node[2:]]
@@ -54,8 +57,9 @@ def render(node: Any) -> str:
 def render_interval(interval: Any) -> str:
     if interval is None:
         return ""
-    a, b = interval
-    return f"[{a!r},inf)" if b is None else f"[{a!r}, {b!r}]"
+    a, b, *ends = interval
+    opening, closing = ends[0] if ends else "[]"
+    return f"{opening}{a!r},inf)" if b is None else f"{opening}{a!r}, {b!r}{closing}"
 
 
 def value(node: Any, sample: tuple[float, ...]) -> float:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from perfbound.orchestrator.mathematics.stl import robustness
 from perfbound.orchestrator.mathematics.stl.parser import FormulaError, parse_formula
 from perfbound.orchestrator.mathematics.stl.robustness import EvaluatedEach, evaluated, evaluated_each
+from perfbound.schemas.values import Beyond
 from tests.facts import facts
 from tests.unit.mathematics.stl.test_brute import render
 
@@ -21,7 +22,9 @@ Floats = NDArray[np.float64]
 NAMES = ("t", "x", "y")
 STEPS = (0.1, 0.25, 1 / 120)
 SUMS = ("x", "y", "abs(x)", "-y", "x - y", "x * y + 1", "x^2", "abs(y)^0.3", "abs(x)^y", "2^x", "t", "x - t / 2", "t^2")
-NOT_ALWAYS_FINITE = ("1 / x", "y^0.5", "x^y", "x / t", "x^t", "t^y", "1e308 * x * 10")
+SUMS += ("max(x, y, 0.5)", "min(x, t)", "sin(x) + cos(y)", "exp(x - 3)", "sqrt(abs(y))", "tan(x) * log(x^2 + 1)")
+NOT_ALWAYS_FINITE = ("1 / x", "y^0.5", "x^y", "x / t", "x^t", "t^y", "1e308 * x * 10", "log(x)", "sqrt(y)", "exp(x)")
+UNITS = {"t": "s", "x": "discrete", "y": "discrete"}
 
 
 class Case(NamedTuple):
@@ -30,16 +33,17 @@ class Case(NamedTuple):
     text: str
     t: Floats
     values: Floats
+    beyond: Beyond = "refuse"
 
 
 def one_by_one(case: Case) -> EvaluatedEach:
     """Return what each rollout alone gives; raise what is none of a rollout."""
-    tree, rollouts = parse_formula(case.text, NAMES), case.values.shape[1]
+    tree, rollouts = parse_formula(case.text, UNITS), case.values.shape[1]
     found = EvaluatedEach(np.full(rollouts, np.nan), np.zeros(rollouts, dtype=np.bool_), {})
     for number in range(rollouts):
         samples = np.column_stack((case.t, *case.values[:, number]))
         try:
-            found.robustness[number], found.by_tolerance[number] = evaluated(tree, NAMES, samples)
+            found.robustness[number], found.by_tolerance[number] = evaluated(tree, NAMES, samples, case.beyond)
         except FormulaError:
             raise
         except ValueError as error:
@@ -48,7 +52,7 @@ def one_by_one(case: Case) -> EvaluatedEach:
 
 
 def at_once(case: Case) -> EvaluatedEach:
-    return evaluated_each(parse_formula(case.text, NAMES), NAMES, case.t, case.values)
+    return evaluated_each(parse_formula(case.text, UNITS), NAMES, case.t, case.values, case.beyond)
 
 
 def check_equal(found: EvaluatedEach, expected: EvaluatedEach) -> None:
@@ -82,16 +86,21 @@ def formulas(step: float, expressions: tuple[str, ...]) -> st.SearchStrategy[Any
     sums = st.sampled_from(expressions)
     border = st.sampled_from([0, 0, 1, 2, 3, 5, 2.5]).map(lambda number: round(number * step, 9))
     ends = st.tuples(border, border).map(lambda pair: (min(pair), max(pair)))
-    interval = st.none() | ends | ends | border.map(lambda low: (low, None))
+    opened = st.tuples(ends, st.sampled_from(["[)", "(]", "()"])).map(
+        lambda found: (*found[0], found[1]) if found[0][0] < found[0][1] else found[0]
+    )
+    interval = st.none() | ends | ends | opened | border.map(lambda low: (low, None))
     limit = st.sampled_from([0.0, 0.5, 1.0, 2.0])
     predicate = st.tuples(st.sampled_from(["<=", ">=", "<", ">"]), sums, sums | limit)
+    whole = st.tuples(st.sampled_from(["==", "!="]), st.sampled_from(["x", "y", "x + y"]), st.sampled_from([0, 2]))
     return st.recursive(
-        predicate,
+        predicate if expressions is SUMS else predicate | whole,
         lambda part: st.one_of(
             st.tuples(st.sampled_from(["and", "or", "implies"]), part, part),
             st.tuples(st.just("not"), part),
-            st.tuples(st.sampled_from(["always", "eventually"]), interval, part),
-            st.tuples(st.sampled_from(["until", "until_from"]), interval, part, part),
+            st.tuples(st.sampled_from(["next", "previous", "rise", "fall"]), part),
+            st.tuples(st.sampled_from(["always", "eventually", "historically", "once"]), interval, part),
+            st.tuples(st.sampled_from(["until", "until_from", "since"]), interval, part, part),
         ),
         max_leaves=5,
     )
@@ -109,7 +118,7 @@ def cases(draw: st.DrawFn, expressions: tuple[str, ...], special: tuple[float, .
     if draw(st.booleans()):
         # One rollout after the other in memory, as a simulator may give them.
         values = np.ascontiguousarray(values.transpose(1, 2, 0)).transpose(2, 0, 1)
-    return Case(render(draw(formulas(step, expressions))), t, values)
+    return Case(render(draw(formulas(step, expressions))), t, values, draw(st.sampled_from(["refuse", "truncate"])))
 
 
 def compare(case: Case, size: int) -> None:
@@ -165,6 +174,12 @@ def of(text: str, t: list[float], values: Floats) -> EvaluatedEach:
         "eventually[0,0.6] always[0.1,0.3] x >= 0 and y >= -2",
         "x >= -1 until[0,0.3] y >= 1",
         "x >= -1 until_from[0.1,0.3] y >= 1",
+        "always[0,0.7) x >= -2",
+        "eventually(0.3,0.6] always[0,0.2) x >= 0",
+        "always[0.5,0.9] once(0.1,0.3) x >= 0",
+        "eventually[0.5,0.9] historically[0.1,0.3] x >= 0",
+        "eventually[0.6,0.9] rise(always[0,0.3] x >= -1)",
+        "always[0.6,0.9] (x >= -1 since[0,0.3) y >= 0)",
     ],
 )
 def test_the_tolerance_decides_the_sign_of_some_rollouts(text: str) -> None:

@@ -18,6 +18,10 @@ class TestHorizon:
             ("(always[0,3] x <= 1) and eventually[0,7] x <= 1 implies x > 0", 7),
             ("always x <= 1", math.inf),
             ("always[0,5] eventually[1,inf) x <= 1", math.inf),
+            ("always[0,5] once[2,9] eventually[0,3] x <= 1", 6),
+            ("once[2,3] eventually[0,1] x <= 1", 0),
+            ("eventually[0,3] x <= 1 since[1,2] always[0,6] y <= 1", 5),
+            ("always[0,5) rise(x <= 1) or next y <= 1", 5),
         ],
     )
     def test_horizon(self, text: str, seconds: float) -> None:
@@ -33,6 +37,9 @@ class TestHorizon:
             ("always[0,0.1] eventually[0.2,0.2] y <= 1", 0.3),  # .1 + .2 > .3 in floating point
             ("always[0,5] eventually[1,inf) x <= 1", 6),
             ("(always[0,3] x <= 1) until[1,2] x <= 1", 5),
+            ("always[0,4] historically[1,2] eventually[0,3] x <= 1", 6),
+            ("always[0,4] (eventually[0,1] x <= 1 since[2,3] always[0,2] x <= 1)", 5),
+            ("always once eventually[0,0] x <= 1", 0),
         ],
     )
     def test_a_long_enough_trajectory(self, text: str, enough: float) -> None:

@@ -23,13 +23,21 @@ from perfbound.orchestrator.mathematics.stl.tree import (
     Comparison,
     Eventually,
     Expression,
+    Fall,
     Formula,
+    Function,
+    Historically,
     Implies,
     Interval,
     Negative,
+    Next,
     Not,
     Number,
+    Once,
     Or,
+    Previous,
+    Rise,
+    Since,
     Until,
     predicates,
 )
@@ -85,6 +93,12 @@ class TestParser:
             ("eventually [ .5 , 1e1 ] x<1", Eventually(A, Interval(0.5, 10))),
             ("always[2,inf) x<1", Always(A, Interval(2))),
             ("always[0,inf) x<1", Always(A)),
+            ("always[0,5) x<1", Always(A, Interval(0, 5, high_open=True))),
+            ("once (1, 5] x<1", Once(A, Interval(1, 5, low_open=True))),
+            ("historically(0,inf) x<1", Historically(A, Interval(low_open=True))),
+            ("x<1 since(0,5) y<1", Since(A, B, Interval(0, 5, True, True))),
+            ("always (0 < x)", Always(Comparison("<", Number(0.0), X))),
+            ("next rise(x<1)", Next(Rise(A))),
             ("x<1 until[0,0] y<1", Until(A, B, Interval(0, 0))),
             ("x<1 until_from[1,2] y<1", Until(A, B, Interval(1, 2), "paper")),
             ("x<1 until_from y<1", Until(A, B, reading="paper")),
@@ -126,8 +140,14 @@ class TestParser:
             ("x**2 + y\u00b2 < 1", 1, "x^2 + y^2 < 1"),
             ("always (|x| < 1)", 8, "always (abs(x) < 1)"),
             ("always {x < 1}", 7, "always (x < 1)"),
-            ("always(0,5) x < 1", 6, "always[0,5] x < 1"),
             ("always[0:5] x < 1", 6, "always[0,5] x < 1"),
+            ("always(0;5) x < 1", 6, "always(0,5) x < 1"),
+            ("X x < 1 and Y (y > 0)", 0, "next x < 1 and previous (y > 0)"),
+            ("H[0,2] x < 1 or O[1,2] y < 1", 0, "historically[0,2] x < 1 or once[1,2] y < 1"),
+            ("x < 1 S[0,5] (y > 0)", 6, "x < 1 since[0,5] (y > 0)"),
+            ("x < 1 since_[0:5] y > 0", 6, "x < 1 since[0,5] y > 0"),
+            ("rose(x < 1) and fell(y < 1)", 0, "rise(x < 1) and fall(y < 1)"),
+            ("ln(x) < 1", 0, "log(x) < 1"),
         ],
     )
     def test_the_spelling_of_other_tools_is_answered_by_this_one(self, text: str, position: int, spelling: str) -> None:
@@ -158,13 +178,13 @@ class TestParser:
             ("x until y <= 1", 0, "compare it with"),
             ("1 + (x <= 1) <= 2", 4, "number is needed"),
             ("(x <= 1) + 2 <= 2", 0, "number is needed"),
-            ("0 <= x <= 1", 7, "comparisons do not chain"),
             ("x <= 1 until y <= 1 until x <= 1", 20, "`until` does not chain"),
-            ("x == 1", 2, "equality"),
+            ("x == 1", 2, r"== compares whole numbers, and 'x' .*: write `abs\(x - 1\) <= 0.1` with your tolerance"),
+            ("x + 1 != y", 6, r"!= compares .* write `abs\(x \+ 1 - y\) > 0.1`"),
             ("x <= 1 & y <= 1", 7, "write `x <= 1 and y <= 1`"),
             ("x <= 1 & y <= 1 or zz <= 1", 7, "write `x <= 1 and y <= 1 or zz <= 1`; there: unknown column 'zz'"),
             ("always (xx <= 1)", 8, "unknown column 'xx'; did you mean 'x'\\? known are t, x, y"),
-            ("allways (x <= 1)", 0, "unknown function 'allways'; did you mean 'always'\\? the only function is abs"),
+            ("allways (x <= 1)", 0, "unknown function 'allways'; did you mean 'always'\\? there are abs, max"),
             ("alwyas[0,5] x <= 1", 0, "unknown column 'alwyas'; did you mean 'always'\\?"),
             ("x <= 1 adn y <= 1", 7, "unexpected 'adn'; did you mean 'and'\\?"),
             ("x <= 1 # y", 7, "unexpected character '#'"),
@@ -173,13 +193,21 @@ class TestParser:
             ("always[0,x] x <= 1", 9, "a number of 0 or more"),
             ("always[inf,inf) x <= 1", 7, "a number of 0 or more"),
             ("always[5,2] x <= 1", 9, "needs a <= b"),
-            ("always[0,5) x <= 1", 10, "includes both ends"),
+            ("always[0,5 x <= 1", 11, "unexpected 'x'; write 5 alone, in s"),
+            ("always[0,5, x <= 1", 10, "an interval ends with"),
+            ("always(5,5] x <= 1", 9, r"write \[a,a\]"),
+            ("once[-1,0] x <= 1", 5, "0 or more expected; once, historically and since read the past"),
+            ("rise x <= 1", 5, r"write rise\(condition\)"),
+            ("rise(x) and x <= 1", 5, "a condition is needed"),
+            ("max(x) <= 1", 0, r"two numbers or more: max\(x, y\)"),
+            ("x <= 1 since y <= 1 since x <= 1", 20, "`since` does not chain"),
+            ("log10(x) <= 1", 0, r"write log\(x\) / log\(10\)"),
             ("always[0,inf] x <= 1", 12, "without end is written"),
-            ("abs(0,x) <= 1", 5, "written right after always"),
+            ("abs(0,x) <= 1", 0, "abs has one number between its parentheses, not 2"),
             ("x <= 1 and[0,5] y <= 1", 10, "written right after always"),
             ("x <= inf", 5, "written right after always"),
             ("until", 0, "unexpected 'until'"),
-            ("sin(x) <= 1", 0, "unknown function 'sin'"),
+            ("sinh(x) <= 1", 0, "unknown function 'sinh'; did you mean 'sin'"),
             ("abs x <= 1", 4, r"'\(' expected"),
             ("x <= 1 and zz <= 1", 11, "unknown column 'zz'; known are t, x, y"),
             ("x <= 1e999", 5, "too large"),
@@ -197,12 +225,10 @@ class TestParser:
             ("x => 2 m", 2, "write `x >= 2 m`; there: unexpected 'm'"),
             ("x < 1,5", 4, "write 1.5 with a point"),
             ("x[0] < 1", 1, "a column has no index"),
-            ("abs(x < 1)", 0, r"close abs\( \) before the comparison"),
-            ("x = 1", 2, r"use .* or abs\(a - b\) <= 0.1 with your tolerance"),
-            ("x \u2260 1", 2, "equality"),
-            ("max(x, y) < 1", 0, "write `f < c and g < c`"),
-            ("sqrt(x) < 1", 0, r"write \(f\)\^0.5"),
-            ("norm(x) < 1", 0, "unknown function 'norm'; the only function is abs"),
+            ("abs(x < 1)", 4, r"close abs\( \) before the comparison"),
+            ("x = 1", 2, r"use <=, .* `==` of a discrete column, or abs\(a - b\) <= 0.1 with your tolerance"),
+            ("x \u2260 1", 2, "write `x != 1`; there: != compares whole numbers"),
+            ("norm(x) < 1", 0, r"unknown function 'norm'; write sqrt\(x\^2 \+ y\^2\); there are abs, max, min, sqrt"),
             ("((x < 1)", 8, r"'\)' expected, which closes the '\(' of character 1 :"),
             ("x < 1)", 5, r"no '\(' before it is open"),
             ("x <= 1 and\n  (y <= 2", 20, r"'\)' expected"),
@@ -258,7 +284,7 @@ class TestParser:
         assert str(caught.value) == line
 
     @pytest.mark.rest
-    @given(st.text(alphabet="xy01.,<=>()[]+-*/^ andortuilwsmebf_", max_size=40))
+    @given(st.text(alphabet="xy01.,<=>()[]+-*/^! andortuilwsmebfcepvxqhg_", max_size=40))
     @settings(deadline=None)
     def test_any_text_is_read_or_refused(self, text: str) -> None:
         samples = np.column_stack([np.arange(3.0), np.ones((3, 2))])
@@ -309,7 +335,8 @@ def draw_expression(rng: random.Random, depth: int) -> Expression:
         return rng.choice(leaves)
     left, right = draw_expression(rng, depth - 1), draw_expression(rng, depth - 1)
     operators: list[Any] = ["+", "-", "*", "/", "^"]
-    options: list[Expression] = [Negative(left), Absolute(left)]
+    options: list[Expression] = [Negative(left), Absolute(left), Function("max", (left, right, left))]
+    options += [Function(name, (left,)) for name in ("sqrt", "sin", "cos", "tan", "exp", "log")]
     options += [Arithmetic(sign, left, right) for sign in operators]
     return rng.choice(options)
 
@@ -319,7 +346,8 @@ def draw_formula(rng: random.Random, depth: int) -> Formula:
         return Comparison(rng.choice(["<=", ">=", "<", ">"]), draw_expression(rng, 4), draw_expression(rng, 2))
     left, right = draw_formula(rng, rng.randrange(depth)), draw_formula(rng, rng.randrange(depth))
     low = rng.choice([0.0, 1.0, rng.random()])
-    interval = rng.choice([Interval(), Interval(low), Interval(low, low + rng.random() * 1e-6), Interval(low, 1e6)])
+    ends = [Interval(low, 1e6, *rng.choices([True, False], k=2)), Interval(low, low_open=True)]
+    interval = rng.choice([Interval(), Interval(low), Interval(low, low + rng.random() * 1e-6), *ends])
     options: list[Formula] = [
         Not(left),
         Always(left, interval),
@@ -329,6 +357,10 @@ def draw_formula(rng: random.Random, depth: int) -> Formula:
         Implies(left, right),
         Until(left, right, interval),
         Until(left, right, interval, "paper"),
+        Once(left, interval),
+        Historically(left, interval),
+        Since(left, right, interval),
+        *(kind(left) for kind in (Next, Previous, Rise, Fall)),
     ]
     return rng.choice(options)
 
@@ -347,6 +379,7 @@ class TestText:
             "always[0,15] (abs(phi) <= 0.95 and (x - 2.5)^2 + (y - 2.5)^2 <= 9)",
             "x <= 1 implies eventually[0.5,inf) not y > 1e-09",
             "(x <= 1 until[0,3] y > 2) until_from -x^-2 / (y * 3) >= x - (y - 1)",
+            "historically[0,2) x < 1 since(1,3] next (y < 1 or previous x > 2) and rise(max(x, y, 1) < sqrt(y))",
             "((x <= 1 implies y <= 1) implies (x <= 1 or y <= 2) and x < 3) or (x <= 1 or y <= 1)",
         ],
     )
@@ -355,16 +388,58 @@ class TestText:
 
 
 @pytest.mark.parametrize("known", [None, ("t", "x", "y")])
-@pytest.mark.parametrize(
-    "text", ["next x >= 0", "always next x >= 0", "x >= 0 and once x >= 1", "(historically y <= 1)"]
-)
+@pytest.mark.parametrize("text", ["release x >= 0", "always release x >= 0", "x >= 0 and (release x >= 1)"])
 def test_an_operator_that_does_not_exist_is_named(text: str, known: tuple[str, ...] | None) -> None:
-    word = next(each for each in ("next", "once", "historically") if each in text)
-    with pytest.raises(FormulaError, match=rf"there is no operator '{word}'; .*there are always, eventually") as caught:
+    with pytest.raises(FormulaError, match=r"there is no operator 'release'; .*there are always, eventually") as caught:
         parse_formula(text, known)
-    assert caught.value.position == text.index(word)
+    assert caught.value.position == text.index("release")
 
 
 def test_a_misspelled_operator_names_the_nearest() -> None:
-    with pytest.raises(FormulaError, match=r"there is no operator 'alway'; .*always"):
+    with pytest.raises(FormulaError, match=r"there is no operator 'alway'; nearest: always; there are always"):
         parse_formula("alway x >= 0", ("t", "x"))
+
+
+UNITS = {"t": "s", "x": "m", "y": "m", "gear": "discrete", "mode": "discrete"}
+
+
+class TestDiscrete:
+    @pytest.mark.parametrize(
+        "text", ["gear == 3", "not gear != mode", "abs(gear - mode) == 1", "-gear + 2 * mode == max(gear, 3, mode)"]
+    )
+    def test_whole_numbers_can_be_compared(self, text: str) -> None:
+        assert text_of(parse_formula(text, UNITS)) == text
+
+    @pytest.mark.parametrize(
+        ("text", "reason"),
+        [
+            ("gear == 2.5", "and 2.5 is none"),
+            ("gear == x", "'x' is no column with the unit \"discrete\""),
+            ("gear / 2 == 1", "what / gives may be none"),
+            ("sqrt(gear) != 1", "what sqrt gives may be none"),
+        ],
+    )
+    def test_other_numbers_cannot(self, text: str, reason: str) -> None:
+        with pytest.raises(FormulaError, match=reason):
+            parse_formula(text, UNITS)
+
+    def test_without_columns_every_one_may_be_discrete(self) -> None:
+        parse_formula("x == 1")
+
+    def test_a_column_with_the_name_of_a_word_is_named(self) -> None:
+        with pytest.raises(FormulaError, match="'max' is a word of specifications, and names no column") as caught:
+            parse_formula("x <= 1 and max <= 1", ("x", "max"))
+        assert caught.value.position == 11
+
+
+@pytest.mark.parametrize(
+    ("chain", "meaning"),
+    [
+        ("1 <= x < 2", "1 <= x and x < 2"),
+        ("0 < x <= y < 3 until y > 1", "(0 < x and x <= y and y < 3) until y > 1"),
+        ("always not 0 <= x < 1", "always not (0 <= x and x < 1)"),
+        ("gear == mode == 1", "gear == mode and mode == 1"),
+    ],
+)
+def test_a_chain_of_comparisons_is_their_conjunction(chain: str, meaning: str) -> None:
+    assert parse_formula(chain, UNITS) == parse_formula(meaning, UNITS)

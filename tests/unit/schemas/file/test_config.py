@@ -23,7 +23,19 @@ def test_the_text_of_a_campaign_is_the_same_campaign(path: Path, tmp_path: Path)
 
 
 DECIDE = {
-    *("batch", "candidates", "claims", "clip", "composition", "control", "disturbances", "falsify", "gap", "horizon"),
+    *(
+        "batch",
+        "beyond",
+        "candidates",
+        "claims",
+        "clip",
+        "composition",
+        "control",
+        "disturbances",
+        "falsify",
+        "gap",
+        "horizon",
+    ),
     *(
         "max_tests",
         "name",
