@@ -9,10 +9,10 @@ from .disturbance import Disturbance
 from .drawn_claims import drawn_claims, fewest_samples
 from .method_spaces import draws_starts
 from .objectives import rolled_out
-from .parameters import signal_shapes
+from .parameters import Range, signal_shapes
 from .parts import parts_of
 from .problem_models import KernelProblem, Problem, RigorousProblem
-from .space import Range, Scenarios, StartTable
+from .space import Scenarios, StartTable
 
 SEARCHED_SCORE = 5.0
 """Standard deviations within which a search chooses: beyond, a failure is rarer than one in a million rollouts."""

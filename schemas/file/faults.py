@@ -15,9 +15,10 @@ from .defaults import DERIVED, OF_CAMPAIGN, OF_PROBLEM
 from .drawn_claims import ClaimRequest
 from .method_spaces import SPACES, space_needed
 from .objectives import OBJECTIVES, any_of
+from .parameters import MAX_CHOICES, Range
 from .problem_models import PROBLEM_MODELS, Gap, Linearised, MaternKernel, Weighted
 from .requirements import Requirement
-from .space import MAX_CHOICES, MAX_SCENARIOS, MAX_TABLE, ProgramLimits, Range, SystemChoice
+from .space import MAX_SCENARIOS, MAX_TABLE, ProgramLimits, SystemChoice
 
 MOST_FAULTS = 20
 """Lines of an error; a list of starts may have thousands."""

@@ -13,6 +13,7 @@ from .drawn_claims import ClaimRequest
 from .logs import LogMapping
 from .method_spaces import SPACES
 from .objectives import OBJECTIVES, MethodName, Objective
+from .parameters import Range
 from .problem_models import (
     OVERRIDES,
     PROBLEM_MODELS,
@@ -29,7 +30,7 @@ from .problem_models import (
     Weighted,
 )
 from .requirements import OWN_CONSTANT, Requirement
-from .space import PROGRAM_KEYS, ProgramLimits, Range, Scenarios, SpaceKind, StartTable, SystemChoice
+from .space import PROGRAM_KEYS, ProgramLimits, Scenarios, SpaceKind, StartTable, SystemChoice
 
 HEAD = """# Reference: campaign files
 

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from perfbound.schemas.errors import CampaignError
 from perfbound.schemas.file.against_system import check_against
 from perfbound.schemas.file.defaults import file_schema
-from perfbound.schemas.file.parameters import parameter_ranges, signal_shapes
+from perfbound.schemas.file.parameters import Range, parameter_ranges, signal_shapes
 from perfbound.schemas.file.reader import parse_campaign
 from perfbound.schemas.file.signals import SignalShape
-from perfbound.schemas.file.space import Range, space_kind
+from perfbound.schemas.file.space import space_kind
 from perfbound.schemas.result.facts import Header
 from perfbound.schemas.system import Column, Parameter, SystemSpec
 from tests.facts import facts, says
