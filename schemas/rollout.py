@@ -17,7 +17,7 @@ Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 SHOWN = 6
 """Disturbances in words."""
-MAX_PARAMETERS = 1000
+MAX_PARAMETERS = 2000
 """Numbers of one start."""
 Start = Annotated[tuple[Magnitude, ...], Field(min_length=1, max_length=MAX_PARAMETERS)]
 

@@ -137,8 +137,9 @@ def check_distributions(space: Box, source: str) -> None:
         CampaignError: one line with the source, the parameter and the remedy.
 
     """
+    ranges = parameter_ranges(space)
     try:
-        _of_box(space, list(space))
+        _of_box(ranges, list(ranges))
     except ValueError as error:
         raise CampaignError(f"{source}: {error}") from None
 
