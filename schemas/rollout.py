@@ -5,6 +5,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
+from .amounts import some_of
 from .base import Model
 from .file.disturbance import MAX_DISTURBANCES
 from .file.signals import SignalShape
@@ -122,7 +123,7 @@ class RolloutRequest(Model):
 
     def words(self, spec: SystemSpec) -> str:
         """Return start, variant and seed, as messages name a rollout."""
-        start = ", ".join(f"{each.name} = {value:g}" for each, value in zip(spec.own_parameters, self.x, strict=True))
+        start = some_of([f"{each.name} = {value:g}" for each, value in zip(spec.own_parameters, self.x, strict=True)])
         variant = f", variant {self.variant}" if len(spec.variants) > 1 else ""
         drawn = f", with {self.disturbance_words(spec)}" if self.disturbances else ""
         return f"{start}{variant}{drawn}, seed {self.seed}"

@@ -156,8 +156,8 @@ ALLOWED |= {(model, "sense"): "`min`, `max`" for model in PROBLEM_MODELS.values(
 DEFAULTS = {
     (CampaignConfig, "name"): "by default that of the file",
     (CampaignConfig, "problems"): "by default one, `robustness`",
-    (Range, "low"): "required without `choices` and for knots",
-    (Range, "high"): "required without `choices` and for knots",
+    (Range, "low"): "required but with `choices`, a sine, a step or a profile",
+    (Range, "high"): "required but with `choices`, a sine, a step or a profile",
     (MaternKernel, "length_scale"): "required by `paper` and on scenarios",
     (ClaimRequest, "delta"): "by default that of the problem",
     (CampaignConfig, "claims"): "by default `failure_probability` with method `sample`",
