@@ -44,7 +44,8 @@ DERIVED: Mapping[Any, type] = {"rigorous": RigorousProblem, "kriging": KrigingPr
 """Methods whose length scales follow from the box where the file gives none."""
 OF_RIG = 30 * 86_400.0
 """Seconds in which a test of a rig is made, where the file does not say."""
-OVER_TIME = {"signal", "profile", *(key for parts in PARTS.values() for key in parts)}
+NUMBERS = {key for parts in PARTS.values() for key in parts}
+OVER_TIME = {"signal", "profile", *NUMBERS}
 """Keys that make a range an input over time."""
 WITHIN = re.compile(r"within ([0-9]+(?:\.[0-9]+)?) sd")
 """Short form of the range of a bounded disturbance."""
@@ -189,7 +190,7 @@ def _over_time(value: Mapping[str, Any]) -> dict[str, Any]:
         found = {"knots": len(times), **found}
     found |= {key: _with_ends(found[key]) for each in PARTS.values() for key in each if key in found}
     if not (parts or "profile" in found):
-        return found
+        return {"low": 0.0, "high": 1.0, **found} if NUMBERS & found.keys() else found
     # Of numbers that are none any ends: their own fault is the one to report.
     low, high = 0.0, 1.0
     with suppress(KeyError, TypeError, ValueError):
