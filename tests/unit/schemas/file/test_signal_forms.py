@@ -132,6 +132,7 @@ def test_a_profile_has_no_parameters() -> None:
     # The rows are the campaign, and not the name of their file.
     rows = parsed("u = { profile = [[0, 1], [5, 3], [10, 2]] }\nx = [0, 1]")
     assert rows.digest == parsed(PROFILE).digest
+    assert parsed("u = { profile = [[0, 1], [5, 3], [10, 2.5]] }\nx = [0, 1]").digest != rows.digest
 
 
 def test_with_a_rate_the_parameters_are_shares() -> None:
