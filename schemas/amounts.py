@@ -1,6 +1,7 @@
 """Amounts as text: numbers of bytes and of things."""
 
 import math
+from collections.abc import Sequence
 
 
 def amount(number: float) -> str:
@@ -11,6 +12,21 @@ def amount(number: float) -> str:
     """
     power = min(4, int(math.log10(number) // 3)) if number >= 1 else 0
     return f"{number / 1000**power:.3g} {('B', 'kB', 'MB', 'GB', 'TB')[power]}"
+
+
+MOST_NUMBERS, SHOWN = 24, 6
+"""Of a start in words: with more numbers the first ones are shown."""
+
+
+def some_of(parts: Sequence[str]) -> str:
+    """Return the numbers of a start in words; of many the first ones.
+
+    >>> some_of(["gap = 5 m", "mass = 2 kg"]), some_of(["0"] * 1000)
+    ('gap = 5 m, mass = 2 kg', '0, 0, 0, 0, 0, 0, and 994 further numbers')
+    """
+    shown = parts if len(parts) <= MOST_NUMBERS else parts[:SHOWN]
+    more = [f"and {len(parts) - SHOWN:,} further numbers"] if len(parts) > MOST_NUMBERS else []
+    return ", ".join([*shown, *more])
 
 
 def counted(number: int, noun: str) -> str:

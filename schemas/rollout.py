@@ -5,6 +5,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
+from .amounts import some_of
 from .base import Model
 from .file.disturbance import MAX_DISTURBANCES
 from .file.signals import SignalShape
@@ -17,7 +18,7 @@ Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 SHOWN = 6
 """Disturbances in words."""
-MAX_PARAMETERS = 1000
+MAX_PARAMETERS = 2000
 """Numbers of one start."""
 Start = Annotated[tuple[Magnitude, ...], Field(min_length=1, max_length=MAX_PARAMETERS)]
 
@@ -122,7 +123,7 @@ class RolloutRequest(Model):
 
     def words(self, spec: SystemSpec) -> str:
         """Return start, variant and seed, as messages name a rollout."""
-        start = ", ".join(f"{each.name} = {value:g}" for each, value in zip(spec.own_parameters, self.x, strict=True))
+        start = some_of([f"{each.name} = {value:g}" for each, value in zip(spec.own_parameters, self.x, strict=True)])
         variant = f", variant {self.variant}" if len(spec.variants) > 1 else ""
         drawn = f", with {self.disturbance_words(spec)}" if self.disturbances else ""
         return f"{start}{variant}{drawn}, seed {self.seed}"

@@ -2,7 +2,7 @@
 
 import hashlib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
@@ -185,6 +185,12 @@ class SystemSpec(Model, metaclass=Written):
         exclude_if=lambda signals: not signals,
         description="of a campaign: the input signals whose knots are among the parameters",
     )
+    undivided: tuple[Parameter, ...] = Field(
+        default=(),
+        exclude_if=lambda parameters: not parameters,
+        description="of a campaign with input signals whose parameters are not knots alone: the parameters that the "
+        "system declares",
+    )
     own_disturbances: tuple[Disturbance, ...] = Field(
         default=(),
         exclude_if=lambda disturbances: not disturbances,
@@ -244,7 +250,8 @@ class SystemSpec(Model, metaclass=Written):
         """Return the system as a campaign knows it: the knots of its input signals are parameters, and `laws` hold.
 
         `added` are the disturbances that are parameters, too; `drawn`, whether some starts are drawn with them.
-        Signals that `shapes` does not have get the default shape. The identity stays that of the system.
+        Signals that `shapes` does not have get the default shape; those that are recorded are columns behind those of
+        the system. The identity stays that of the system.
         """
         given = {each.name: each for each in shapes}
         found = {
@@ -253,12 +260,16 @@ class SystemSpec(Model, metaclass=Written):
         if not (found or laws or added):  # of most systems, for every rollout on a worker
             return self
         parameters = tuple(
-            each.model_copy(update={"name": name, "signal": False})
+            each.model_copy(update={"name": name, "signal": False, **differs})
             for each in self.parameters
-            for name in (found[each.name].names if each.signal else (each.name,))
+            for name, differs in (found[each.name].parameters() if each.signal else ((each.name, {}),))
         )
         changed = tuple((laws or {}).get(each.name, each).named(each.name, each.unit) for each in self.disturbances)
         update: dict[str, Any] = {"parameters": parameters, "signals": tuple(found.values())} if found else {}
+        if not all(each.knots_alike for each in found.values()):
+            update["undivided"] = self.parameters
+        if recorded := [each.name for each in found.values() if each.recorded]:
+            update["columns"] = self._with_signals(recorded)
         if changed != self.disturbances:
             update |= {"disturbances": changed, "own_disturbances": self.disturbances}
         if added and not self.as_parameters:
@@ -278,17 +289,18 @@ class SystemSpec(Model, metaclass=Written):
         if not (self.signals or self.own_disturbances):
             return self
         names = {name: shape.name for shape in self.signals for name in shape.names}
-        parameters = {
+        parameters: dict[str, Parameter] = {}
+        for each in () if self.undivided else self.parameters:
             # All knots of a signal are alike.
-            (name := names.get(each.name, each.name)): each.model_copy(
-                update={"name": name, "signal": each.name in names}
-            )
-            for each in self.parameters
-        }
+            if (name := names.get(each.name, each.name)) not in parameters:
+                changed = {"name": name, "signal": True} if each.name in names else {}
+                parameters[name] = each.model_copy(update=changed)
         return self.model_copy(
             update={
-                "parameters": tuple(parameters.values()),
+                "parameters": self.undivided or tuple(parameters.values()),
+                "columns": tuple(column for column in self.columns if column.name not in self.recorded),
                 "signals": (),
+                "undivided": (),
                 "disturbances": self.own_disturbances or self.disturbances,
                 "own_disturbances": (),
             }
@@ -327,10 +339,21 @@ class SystemSpec(Model, metaclass=Written):
         """The disturbances of a rollout whose values are known: those that are drawn, then those that it reports."""
         return (*self.drawn, *self.reported)
 
+    def _with_signals(self, recorded: Sequence[str]) -> tuple[Column, ...]:
+        units = {each.name: each.unit for each in self.parameters}
+        own = len(self.own_columns)
+        added = (Column(name=name, unit=units[name]) for name in recorded)
+        return (*self.columns[:own], *added, *self.columns[own:])
+
+    @property
+    def recorded(self) -> tuple[str, ...]:
+        """The input signals that are columns, which the system itself does not give."""
+        return tuple(each.name for each in self.signals if each.recorded)
+
     @property
     def own_columns(self) -> tuple[str, ...]:
         """The names of the columns that the system itself gives."""
-        names = tuple(column.name for column in self.columns)
+        names = tuple(column.name for column in self.columns if column.name not in self.recorded)
         return names if self.after_end is None else names[:-1]
 
     @property

@@ -76,7 +76,8 @@ def _together(system: SystemUnderTest, request: BatchRequest, progress: Progress
 
 
 def _in_turn(system: SystemUnderTest, request: BatchRequest, progress: Progress) -> Batch:
-    columns = tuple(each.name for each in system.spec.columns)
+    spec = system.spec.spread(request.signals)
+    columns = tuple(each.name for each in spec.columns)
     failures: dict[int, str] = {}
     time, values = np.empty(0), np.empty((0, 0, 0))
     done = _Steps(progress)
@@ -91,7 +92,7 @@ def _in_turn(system: SystemUnderTest, request: BatchRequest, progress: Progress)
             time, values = samples[:, 0].copy(), np.zeros((len(columns) - 1, len(request), len(samples)))
         if not np.array_equal(samples[:, 0], time):
             raise SimulationError(
-                f"{system.spec.name} has another time grid at {request.single(place).words(system.spec)} than before: "
+                f"{system.spec.name} has another time grid at {request.single(place).words(spec)} than before: "
                 "the rollouts of a batch share one; give `batch = 1`"
             )
         values[:, place] = samples[:, 1:].T

@@ -10,7 +10,7 @@ from ..schemas.batch import BatchRequest
 from ..schemas.errors import SimulationError
 from ..schemas.rollout import RolloutRequest, WithinBatch
 from ..schemas.trajectory.early_end import held, with_end
-from ..schemas.trajectory.input_signal import start_values
+from ..schemas.trajectory.input_signal import InputSignal, start_values, with_signals
 from ..schemas.trajectory.trajectory import File, Trajectory, encode
 from .systems import load_system
 from .systems.base import Progress, SystemUnderTest, Vectorised, disturbances_of
@@ -76,13 +76,14 @@ def drawn(file: File) -> bytes:
 
 
 def _file(system: SystemUnderTest, request: RolloutRequest, trajectory: Trajectory) -> bytes:
-    units = {column.name: column.unit for column in system.spec.columns}
+    units = {column.name: column.unit for column in system.spec.spread(request.signals).columns}
     return encode(trajectory, request=request.model_dump(mode="json"), metadata=request.metadata, units=units)
 
 
 def simulated(system: SystemUnderTest, request: RolloutRequest, progress: Progress) -> Trajectory:
     """Return the trajectory of a rollout, with its visual part if the request asks for it; raises as the file."""
     spec = system.spec
+    known, start = spec.spread(request.signals), dict[str, float | InputSignal]()
     common: dict[str, Any] = {
         "variant": request.variant,
         "horizon": request.horizon,
@@ -92,7 +93,7 @@ def simulated(system: SystemUnderTest, request: RolloutRequest, progress: Progre
     if request.within is not None:
         trajectory = _of_batch(system, request.within, common)
     else:
-        start = start_values(spec.spread(request.signals), request.x, request.horizon)
+        start = start_values(known, request.x, request.horizon)
         drawn = disturbances_of(spec, request.disturbances)
         trajectory = system.rollout(tuple(start.values()), seed=request.seed, **common, **drawn)
     if trajectory.columns != spec.own_columns:
@@ -101,6 +102,7 @@ def simulated(system: SystemUnderTest, request: RolloutRequest, progress: Progre
     if spec.after_end is not None:
         trajectory = held(trajectory, request.horizon)
     visual = system.visual(trajectory) if request.visual else None
+    trajectory = with_signals(trajectory, known, start)
     if spec.after_end is not None:
         trajectory = with_end(trajectory, samples)
     return trajectory if visual is None else trajectory.showing(visual)

@@ -9,7 +9,7 @@ import numpy as np
 from ...schemas.amounts import amount
 from ...schemas.batch import MOST_NUMBERS, largest_batch
 from ...schemas.errors import CampaignError, check_all
-from ...schemas.file.against_system import check_against
+from ...schemas.file.against_system import as_in_campaign, check_against
 from ...schemas.file.config import CampaignConfig
 from ...schemas.file.keys import CampaignKeys
 from ...schemas.file.logs import driven_column
@@ -113,7 +113,7 @@ def _check_new_clip(config: CampaignConfig, source: str) -> None:
 
 
 def _check_specification(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
-    known, truncates = spec.units, config.beyond == "truncate"
+    known, truncates = as_in_campaign(spec, config).units, config.beyond == "truncate"
     # A horizon that is missing has a line already.
     horizon = spec.max_horizon if config.horizon == 0 and spec.timed else config.horizon
     # One by one first, so that an error names the requirement.

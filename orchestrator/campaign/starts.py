@@ -12,8 +12,8 @@ from ...schemas.draws.distributions import to_digits, truncated
 from ...schemas.draws.laws import coordinate
 from ...schemas.errors import CampaignError
 from ...schemas.file.disturbance import Disturbance
-from ...schemas.file.parameters import parameter_ranges
-from ...schemas.file.space import Box, Range, StartTable
+from ...schemas.file.parameters import Box, Range, parameter_ranges
+from ...schemas.file.space import StartTable
 from ...schemas.result.facts import Header
 from ...schemas.system import Parameter, SystemSpec
 from ..mathematics.sobol import BLOCK as BLOCK_OF_SOBOL
@@ -137,8 +137,9 @@ def check_distributions(space: Box, source: str) -> None:
         CampaignError: one line with the source, the parameter and the remedy.
 
     """
+    ranges = parameter_ranges(space)
     try:
-        _of_box(space, list(space))
+        _of_box(ranges, list(ranges))
     except ValueError as error:
         raise CampaignError(f"{source}: {error}") from None
 

@@ -62,8 +62,9 @@ def _figures_of(data: ReportData, problem: Problem) -> Iterator[tuple[str, Figur
         with style.new_figure(INPUT_HEIGHT * len(inputs) + 0.3) as figure:
             _draw_inputs(figure, inputs)
         yield "inputs", figure
-    if len(data.axes) > 2 and problem.tests.x:
-        with style.new_figure(1.2 + PER_PARAMETER * len(data.axes)) as figure:
+    read = [k for k, each in enumerate(data.axes) if not each.signal]
+    if len(data.axes) > 2 and len(read) > 1 and problem.tests.x:
+        with style.new_figure(1.2 + PER_PARAMETER * len(read)) as figure:
             draw_problem_tests(figure, data.axes, problem)
         yield "tests", figure
     if decays(problem):
@@ -151,11 +152,13 @@ def _scattered(axes: Axes, surface: Surface) -> tuple[Any, list[Artist]]:
 
 def draw_problem_tests(figure: Figure, parameters: tuple[Axis, ...], problem: Problem) -> Axes:
     """Draw the worst tests of a problem as lines across all parameters, dark where the observed value is bad."""
+    read = [k for k, each in enumerate(parameters) if not each.signal]
+    parameters = tuple(parameters[k] for k in read)
     axes, y, rows = figure.subplots(), _array(problem.tests.y), np.arange(len(parameters))
     badness = y if problem.sense == "max" and problem.method != "sample" else 0.0 - y
     kept = np.argsort(np.where(np.isnan(badness), -np.inf, badness), kind="stable")[-MOST_LINES:]  # the worst on top
     low, high = np.array([(each.low, each.high) for each in parameters]).T
-    shares = (np.array(problem.tests.x)[kept] - low) / np.where(high > low, high - low, 1.0)  # (n, p)
+    shares = (np.array(problem.tests.x)[kept][:, read] - low) / np.where(high > low, high - low, 1.0)  # (n, p)
     lines = LineCollection([np.column_stack((each, rows)) for each in shares], cmap=LINES, linewidths=2 * THIN)
     lines.set_array(badness[kept])
     # Half of the tests have either half of the colours: one value far away would leave one colour for the others.

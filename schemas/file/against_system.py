@@ -1,19 +1,23 @@
 """The checks of a campaign against its system under test: parameters, columns, options, horizon."""
 
+import re
 from collections.abc import Iterator
 
 from ..errors import CampaignError, DefinitionError, meant, nearest_name
 from ..system import SCORED, Parameter, SystemSpec
+from ..values import FORMULA_WORDS
 from .config import CampaignConfig
 from .disturbance import Disturbance
 from .drawn_claims import drawn_claims, fewest_samples
 from .method_spaces import draws_starts
 from .objectives import rolled_out
-from .parameters import signal_shapes
+from .parameters import Range, signal_shapes
 from .parts import parts_of
 from .problem_models import KernelProblem, Problem, RigorousProblem
-from .space import Range, Scenarios, StartTable
+from .signals import SignalShape
+from .space import Scenarios, StartTable
 
+WORD = re.compile(r"[a-z][a-z0-9_]*")
 SEARCHED_SCORE = 5.0
 """Standard deviations within which a search chooses: beyond, a failure is rarer than one in a million rollouts."""
 MOST_SCORE = 6.0
@@ -36,7 +40,21 @@ def as_in_campaign(spec: SystemSpec, config: CampaignConfig | None) -> SystemSpe
             for law in spec.disturbances
             if (each := ranges.get(law.name)) is not None
         }
-    return spec.spread(signal_shapes(config.space), config.disturbances, added, drawn=sought)
+    return spec.spread(_shapes(config, spec), config.disturbances, added, drawn=sought)
+
+
+def _shapes(config: CampaignConfig, spec: SystemSpec) -> list[SignalShape]:
+    """Return the input signals: one that a formula or a problem names is a column, if the system returns none such."""
+    texts = [config.formula or "", *(each.formula for each in config.specifications)]
+    named = {word for text in texts for word in WORD.findall(text)} - FORMULA_WORDS
+    gaps = [config.gap, *(problem.gap for problem in config.problems)]
+    named |= {gap.column for gap in gaps if gap is not None and gap.column is not None}
+    named |= {problem.column for problem in config.problems if problem.column is not None}
+    named -= {column.name for column in spec.declared.columns}
+    return [
+        shape.model_copy(update={"recorded": True}) if shape.name in named else shape
+        for shape in signal_shapes(config.space)
+    ]
 
 
 def searched(config: CampaignConfig) -> bool:
@@ -100,7 +118,7 @@ def _signal_faults(config: CampaignConfig, spec: SystemSpec) -> Iterator[str]:
                 "in the system: Parameter(..., signal=True)"
             )
     # The identity of a system does not depend on the knots: those of a stored one must be those of the campaign.
-    if spec.signals and spec.signals != declared.spread(shapes).signals:
+    if spec.signals and spec.signals != declared.spread(_shapes(config, spec)).signals:
         yield f"space: its input signals are not those of the stored {spec.name}; restore the database from a copy"
 
 

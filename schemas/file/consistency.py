@@ -17,10 +17,10 @@ from .method_spaces import (
     draws_starts,
 )
 from .objectives import CLAIMS, OBJECTIVES, OF_ROBUSTNESS, ProblemName, Sense, any_of
-from .parameters import check_signals, parameter_ranges
+from .parameters import Range, check_signals, parameter_ranges
 from .parts import parts_of
 from .problem_models import KrigingProblem, Problem, RigorousProblem, SampleProblem
-from .space import Range, Scenarios, space_kind
+from .space import Scenarios, space_kind
 
 ORDERED = {"quantile", "next_rollout"}
 """Quantities that are bounded by one of the values, so that few samples have no bound at all."""

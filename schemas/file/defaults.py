@@ -3,20 +3,23 @@
 The campaign itself, in the database and in certificates, has all of them.
 """
 
+import json
 import math
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 
 from ..system import ASSUMED_HORIZON, SCORED
 from .composition import is_composed
 from .config import CampaignConfig
 from .objectives import MethodName, ProblemName
+from .parameters import Box, Range, parameter_ranges
 from .problem_models import PROBLEM_MODELS, KrigingProblem, RigorousProblem
 from .requirements import listed
-from .signals import MAX_KNOTS
+from .signals import MAX_KNOTS, PARTS, extremes
 from .space import KINDS
 
 ONLY_PROBLEM: ProblemName = "robustness"
@@ -41,6 +44,9 @@ DERIVED: Mapping[Any, type] = {"rigorous": RigorousProblem, "kriging": KrigingPr
 """Methods whose length scales follow from the box where the file gives none."""
 OF_RIG = 30 * 86_400.0
 """Seconds in which a test of a rig is made, where the file does not say."""
+NUMBERS = {key for parts in PARTS.values() for key in parts}
+OVER_TIME = {"signal", "profile", *NUMBERS}
+"""Keys that make a range an input over time."""
 WITHIN = re.compile(r"within ([0-9]+(?:\.[0-9]+)?) sd")
 """Short form of the range of a bounded disturbance."""
 ENDS: dict[str, Any] = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
@@ -97,25 +103,30 @@ def completed(table: Mapping[str, Any], stem: str = "") -> dict[str, Any]:
     if leaves_out_problems(table):
         found["problems"] = [{"name": ONLY_PROBLEM, **{key: found.pop(key) for key in table if key in OF_PROBLEM}}]
     if isinstance(problems := found.get("problems"), list):
-        knots = _knots(space)
+        signals = _signals(found.get("space"))
         methods = [_with_method(each, found) for each in problems]
-        found["problems"] = [_with_lengths(_with_kernel(each, found.get("space"), knots), knots) for each in methods]
+        found["problems"] = [
+            _with_lengths(_with_kernel(each, found.get("space"), signals), signals) for each in methods
+        ]
     return found
 
 
-def _knots(space: Any) -> dict[str, tuple[str, ...]]:
+def _signals(space: Any) -> dict[str, Box]:
     """Return the parameters of each input signal; none of one whose own keys are wrong, a fault of its own."""
-    knots: dict[str, tuple[str, ...]] = {}
+    found: dict[str, Box] = {}
     for name, each in space.items() if isinstance(space, Mapping) else ():
-        if isinstance(each, Mapping) and isinstance(each.get("signal"), str) and isinstance(each.get("knots"), int):
-            knots[name] = tuple(f"{name}_{k}" for k in range(min(each["knots"], MAX_KNOTS)))
-    return knots
+        if isinstance(each, Mapping) and "signal" in each:
+            with suppress(ValidationError):
+                found[name] = parameter_ranges({name: Range.model_validate_json(json.dumps(each, default=str))})
+    return found
 
 
-def _with_lengths(problem: Any, knots: Mapping[str, tuple[str, ...]]) -> Any:
+def _with_lengths(problem: Any, signals: Mapping[str, Box]) -> Any:
     """Return a problem with the length scale of an input signal given to each of its knots."""
     kernel = problem.get("kernel") if isinstance(problem, Mapping) else None
     lengths = kernel.get("length_scale") if isinstance(kernel, Mapping) else None
+    # The numbers of a sine or of a step have different units.
+    knots = {name: box for name, box in signals.items() if f"{name}_0" in box}
     if not isinstance(kernel, Mapping) or not isinstance(lengths, Mapping) or not knots.keys() & lengths.keys():
         return problem
     each = {parameter: value for name, value in lengths.items() for parameter in knots.get(name, (name,))}
@@ -134,14 +145,16 @@ def derived_lengths(ranges: Mapping[str, tuple[float, float]]) -> dict[str, floa
     return {name: float(f"{share * (high - low):.2g}") for name, (low, high) in ranges.items()}
 
 
-def _with_kernel(problem: Any, space: Any, knots: Mapping[str, tuple[str, ...]]) -> Any:
+def _with_kernel(problem: Any, space: Any, signals: Mapping[str, Box]) -> Any:
     """Return a problem of a method with derived length scales with them, where it gives none and the space is a box."""
     if not isinstance(problem, Mapping) or problem.get("method") not in DERIVED or not isinstance(space, Mapping):
         return problem
     kernel, ends = problem.get("kernel", {}), {name: _ends(each) for name, each in space.items()}
     if not isinstance(kernel, Mapping) or "length_scale" in kernel or not ends or None in ends.values():
         return problem
-    ranges = {each: pair for name, pair in ends.items() if pair is not None for each in knots.get(name, (name,))}
+    ranges = {name: pair for name, pair in ends.items() if pair is not None and name not in signals}
+    knots = {each: (box.low, box.high) for name in ends for each, box in signals.get(name, {}).items()}
+    ranges = {name: (ranges | knots)[name] for each in ends for name in signals.get(each, (each,))}
     return {**problem, "kernel": {"length_scale": derived_lengths(ranges), **kernel}}
 
 
@@ -164,8 +177,34 @@ def _with_ends(value: Any) -> Any:
         listed_values = given if isinstance(given, list) else []
         numbers = [each for each in listed_values if isinstance(each, int | float) and not isinstance(each, bool)]
         # Of choices that are none any ends: their own fault is the one to report.
-        return {"low": min(numbers, default=0), "high": max(numbers, default=1), **value}
-    return value
+        value = {"low": min(numbers, default=0), "high": max(numbers, default=1), **value}
+    return _over_time(value) if isinstance(value, Mapping) and value.keys() & OVER_TIME else value
+
+
+def _over_time(value: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the table of an input over time with what follows: its kind, the number of its knots, and its ends."""
+    found = {"signal": "linear", **value} if "profile" in value else dict(value)
+    signal, times = found.get("signal"), found.get("times")
+    kind, parts = next(((kind, each) for kind, each in PARTS.items() if kind == signal), ("pchip", {}))
+    if isinstance(times, list) and 0 < len(times) <= MAX_KNOTS:
+        found = {"knots": len(times), **found}
+    found |= {key: _with_ends(found[key]) for each in PARTS.values() for key in each if key in found}
+    if not (parts or "profile" in found):
+        return {"low": 0.0, "high": 1.0, **found} if NUMBERS & found.keys() else found
+    # Of numbers that are none any ends: their own fault is the one to report.
+    low, high = 0.0, 1.0
+    with suppress(KeyError, TypeError, ValueError):
+        if parts:
+            low, high = extremes(kind, {key: _two(found.get(key, parts[key].default)) for key in parts})
+        else:
+            values = [float(value) for _, value in found["profile"]]
+            low, high = min(values), max(values)
+    return {"low": low, "high": high, **found}
+
+
+def _two(value: Any) -> tuple[float, float]:
+    """Return the ends of a number of a signal; raises TypeError, ValueError or KeyError."""
+    return (float(value["low"]), float(value["high"])) if isinstance(value, Mapping) else (float(value), float(value))
 
 
 def _method(problem: Mapping[str, Any], table: Mapping[str, Any]) -> MethodName:
@@ -198,6 +237,7 @@ def _is_drawn(space: Mapping[str, Any]) -> bool:
     if isinstance(rows, str) or (isinstance(rows, list) and any(isinstance(each, list) for each in rows)):
         return True
     ranges = [each for each in space.values() if isinstance(each, Mapping)]
+    ranges += [number for each in ranges for number in each.values() if isinstance(number, Mapping)]
     return any(each.get("distribution", "uniform") != "uniform" or each.keys() & {"step", "choices"} for each in ranges)
 
 
@@ -227,7 +267,10 @@ def file_schema() -> dict[str, Any]:
     # Left out, they follow from the ranges; method `paper` says that it has no such default.
     schema["$defs"]["MaternKernel"]["required"].remove("length_scale")
     within = {"type": "string", "pattern": f"^{WITHIN.pattern}$"}
-    ends = [{"required": schema["$defs"]["Range"].pop("required")}, {"required": ["choices"]}]
+    ends = [{"required": schema["$defs"]["Range"].pop("required")}]
+    ends += [{"required": [key]} for key in ("choices", "amplitude", "after", "profile")]
+    profile = schema["$defs"]["Range"]["properties"]["profile"]
+    profile["anyOf"] = [{"type": "string"}, *profile["anyOf"]]
     schema["$defs"]["Range"] = {"anyOf": [ENDS, within, schema["$defs"]["Range"] | {"anyOf": ends}]}
     for name, key in (("Scenarios", "scenarios"), ("StartTable", "table")):
         rows = schema["$defs"][name]["properties"]

@@ -15,9 +15,11 @@ from .defaults import DERIVED, OF_CAMPAIGN, OF_PROBLEM
 from .drawn_claims import ClaimRequest
 from .method_spaces import SPACES, space_needed
 from .objectives import OBJECTIVES, any_of
+from .parameters import MAX_CHOICES, NUMBER_TAGS, Range
 from .problem_models import PROBLEM_MODELS, Gap, Linearised, MaternKernel, Weighted
 from .requirements import Requirement
-from .space import MAX_CHOICES, MAX_SCENARIOS, MAX_TABLE, ProgramLimits, Range, SystemChoice
+from .signals import MAX_KNOTS, MAX_PROFILE, PARTS
+from .space import MAX_SCENARIOS, MAX_TABLE, ProgramLimits, SystemChoice
 
 MOST_FAULTS = 20
 """Lines of an error; a list of starts may have thousands."""
@@ -50,6 +52,8 @@ _WORDS = {
     ("specifications", "name"): "a letter, then at most 39 letters, digits, '-' and '_'",
     ("claims", "composed", "problems"): f"a list of one or two of {any_of(tuple(OBJECTIVES))}",
     ("space", "choices"): f"a list of 2 to {MAX_CHOICES} numbers",
+    ("space", "times"): f"a list of 1 to {MAX_KNOTS:,} times in s",
+    ("space", "profile"): f"the name of a CSV file with 1 to {MAX_PROFILE:,} rows t,value, or its rows",
     ("space", "scenarios"): "a list of starting conditions, or the name of a CSV file",
     ("space", "table"): f"the name of a CSV file with 1 to {MAX_TABLE:,} rows, or its rows",
     ("system", "program"): 'a list of texts: ["./NAME", "ARGUMENT"]',
@@ -70,7 +74,7 @@ _RANGE = 'the ends of its range, [0, 5], or a table: { low = 0, high = 5, unit =
 LISTS = {"scenarios": MAX_SCENARIOS, "table": MAX_TABLE}
 """Keys of `[space]` whose starts may be in a CSV file, and the most rows."""
 _CLAIM_MODELS: dict[str, type[Model]] = {"drawn": ClaimRequest, "composed": ComposedClaim}
-_TAGS = {*PROBLEM_MODELS, *_CLAIM_MODELS, "box", *LISTS}
+_TAGS = {*PROBLEM_MODELS, *_CLAIM_MODELS, "box", *LISTS, *NUMBER_TAGS}
 """Names that pydantic gives the members of unions."""
 
 
@@ -146,7 +150,7 @@ def _key(location: Location, table: dict[str, Any], one_problem: bool) -> str:
 
 def _place(location: Location) -> Location:
     """Return the keys and positions of the file alone, without pydantic's names of the members of unions."""
-    tags = {1} if location[:1] == ("space",) else {2} if location[:1] in {("problems",), ("claims",)} else set()
+    tags = {1, 4} if location[:1] == ("space",) else {2} if location[:1] in {("problems",), ("claims",)} else set()
     return tuple(
         part
         for position, part in enumerate(location)
@@ -226,7 +230,9 @@ def _allowed(location: Location) -> str:
     if names[0] == "system" and names[1:2] != ("limits",):
         names = names[:2]  # an entry of `columns` or of a list
     if names[0] == "space" and len(names) == 3:
-        names = ("space", names[2]) if names[2] == "choices" else names
+        if any(names[2] in parts for parts in PARTS.values()):
+            return "a number, or the ends of its range, [0, 5]"
+        names = ("space", names[2]) if names[2] in ("choices", "times", "profile") else names
     elif names[0] == "space" and len(names) == 2 and names[1] not in LISTS:
         return _RANGE
     if names[-2:-1] == ("length_scale",):

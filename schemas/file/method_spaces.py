@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 from ..amounts import amount
 from .objectives import OBJECTIVES, MethodName, ProblemName, any_of
-from .parameters import parameter_ranges
-from .space import MAX_SCENARIOS, Box, Space, SpaceKind, space_kind
+from .parameters import Box, parameter_ranges
+from .space import MAX_SCENARIOS, Space, SpaceKind, space_kind
 
 SPACES: Mapping[MethodName, tuple[SpaceKind, ...]] = {
     "paper": ("box",),
@@ -68,7 +68,7 @@ def fixed_starts(method: MethodName, space: Space, chosen: int | None) -> int | 
 
     `chosen` is the key `candidates` of the file: nothing else makes a claim one about listed starts.
 
-    >>> from perfbound.schemas.file.space import Range
+    >>> from perfbound.schemas.file.parameters import Range
     >>> box = {name: Range(low=0.0, high=1.0) for name in "abcd"}
     >>> [fixed_starts("rigorous", box, each) for each in (None, 500)]
     [None, 500]
@@ -131,7 +131,7 @@ def largest_resolution(method: MethodName, parameters: int) -> int:
 def nodes_per_parameter(method: MethodName, space: Space, given: int) -> int:
     """Return the nodes per parameter of the lattice of a method; `given` is the key `resolution` of the file.
 
-    >>> from perfbound.schemas.file.space import Range
+    >>> from perfbound.schemas.file.parameters import Range
     >>> boxes = [{name: Range(low=0.0, high=1.0) for name in names} for names in ("abc", "abcd")]
     >>> [nodes_per_parameter("kriging", box, RESOLUTION) for box in boxes], nodes_per_parameter("kriging", boxes[1], 8)
     ([21, 6], 8)

@@ -21,6 +21,7 @@ from ..outside import read_outside
 from .config import CampaignConfig
 from .defaults import OF_PROBLEM, completed, is_description, is_rig, leaves_out_problems, with_stand_ins
 from .faults import LISTS, faults, list_fault
+from .signals import MAX_PROFILE
 from .space import kind_named
 
 Beside = Callable[[str], bytes]
@@ -94,8 +95,9 @@ def parse_campaign(
 ) -> CampaignConfig:
     """Read the bytes of a campaign file; `overrides` replace top-level keys.
 
-    `space.scenarios` and `space.table` may name a CSV file, which `beside` reads; the campaign then contains its
-    numbers. A file without `name` has that of `source`; with `whole` false it may be one of `load_description`.
+    `space.scenarios`, `space.table` and the `profile` of an input may name a CSV file, which `beside` reads; the
+    campaign then contains its numbers. A file without `name` has that of `source`; with `whole` false it may be one of
+    `load_description`.
 
     Raises:
         CampaignError: a line for each fault, with the file, the key and the allowed values.
@@ -131,6 +133,12 @@ def campaign_table(data: bytes, source: str, beside: Beside | None = None) -> di
         for key, most in named.items():
             header, rows = _csv_rows(space[key], f"{source}: space.{key}", most, beside)
             table["space"] = {**table["space"], key: rows, **({"header": header} if header else {})}
+        profiles = {
+            name: {**each, "profile": _profile(each["profile"], f"{source}: space.{name}.profile", beside)}
+            for name, each in space.items()
+            if isinstance(each, dict) and isinstance(each.get("profile"), str)
+        }
+        table["space"] = {**table["space"], **profiles}
     return table
 
 
@@ -159,8 +167,20 @@ def validated(found: dict[str, Any], table: Mapping[str, Any], source: str) -> C
         raise CampaignError(*(f"{source}: {line}" for line in lines)) from None
 
 
-def _csv_rows(name: str, key: str, most: int, beside: Beside | None) -> tuple[list[str], list[list[float]]]:
-    """Return the header of a CSV file, empty if it has none, and its rows: one start a row."""
+def _profile(name: str, key: str, beside: Beside | None) -> list[list[float]]:
+    """Return the rows [t, value] of a CSV file."""
+    header, rows = _csv_rows(name, key, MAX_PROFILE, beside, "point")
+    wide = next((number for number, row in enumerate(rows) if len(row) != 2), None)
+    if wide is not None or (header and header[0] not in ("t", "time")):
+        found = f"row {wide} has {len(rows[wide])} numbers" if wide is not None else f"the header is {','.join(header)}"
+        raise CampaignError(f"{key}: {name}: {found}; give two columns, t in s and value")
+    return rows
+
+
+def _csv_rows(
+    name: str, key: str, most: int, beside: Beside | None, what: str = "start"
+) -> tuple[list[str], list[list[float]]]:
+    """Return the header of a CSV file, empty if it has none, and its rows: of one start or point each."""
     where = f"{key}: {name}"
     if beside is None or "/" in name or "\\" in name or name.startswith("."):
         raise CampaignError(f"{where} is not allowed: name a CSV file beside the campaign file")
@@ -177,10 +197,10 @@ def _csv_rows(name: str, key: str, most: int, beside: Beside | None) -> tuple[li
     for number, row in enumerate(rows):
         if not all(map(_is_finite, row)):
             raise CampaignError(
-                f"{where}: row {number} is {','.join(row)[:80]!r}; allowed are numbers, one start a row"
+                f"{where}: row {number} is {','.join(row)[:80]!r}; allowed are numbers, one {what} a row"
             )
     if not 0 < len(rows) <= most:
-        count = f"more than {most:,} starts" if rows else "no start"
+        count = f"more than {most:,} {what}s" if rows else f"no {what}"
         raise CampaignError(f"{where}: {count}; allowed are 1 to {most:,} rows of numbers")
     return header, [[number_in(cell) for cell in row] for row in rows]
 

@@ -13,6 +13,7 @@ from .drawn_claims import ClaimRequest
 from .logs import LogMapping
 from .method_spaces import SPACES
 from .objectives import OBJECTIVES, MethodName, Objective
+from .parameters import SIGNAL_KEYS, Range
 from .problem_models import (
     OVERRIDES,
     PROBLEM_MODELS,
@@ -29,7 +30,8 @@ from .problem_models import (
     Weighted,
 )
 from .requirements import OWN_CONSTANT, Requirement
-from .space import PROGRAM_KEYS, ProgramLimits, Range, Scenarios, SpaceKind, StartTable, SystemChoice
+from .signals import PARTS
+from .space import PROGRAM_KEYS, ProgramLimits, Scenarios, SpaceKind, StartTable, SystemChoice
 
 HEAD = """# Reference: campaign files
 
@@ -92,6 +94,12 @@ SECTIONS: tuple[Section, ...] = (
         "truncated to the range, in the unit of the parameter.",
     ),
     Section(
+        "[space] of an input over time",
+        Range,
+        "[Inputs over time](own-system.md#inputs-over-time) has examples.",
+        keys=SIGNAL_KEYS,
+    ),
+    Section(
         "[space] without ranges",
         (Scenarios, StartTable),
         '`scenarios = [[0.5, 0.5], [1.5, 0.5]]`, or `table = "starts.csv"`.',
@@ -121,6 +129,8 @@ ALLOWED: dict[tuple[type[BaseModel], str], str] = {
     (PaperProblem, "noise_scale"): "number > 0",
     (RigorousProblem, "regulariser"): "number >= 1e-09 or [tables](#regulariser-entries-of-a-mixture)",
     (Range, "choices"): "list of numbers",
+    (Range, "times"): "list of numbers",
+    (Range, "profile"): "text, or lists of two numbers",
     (CampaignConfig, "claims"): "tables, of [drawn starts](#claims) or [by a rule](#claims-by-a-rule)",
     (ComposedClaim, "problems"): "list of names",
     (CampaignConfig, "specifications"): "[one entry](#specifications) per requirement",
@@ -139,14 +149,15 @@ ALLOWED: dict[tuple[type[BaseModel], str], str] = {
     (SystemChoice, "variants"): "list of `nominal`, `true`",
     (SystemChoice, "environment"): "list of texts",
 }
+ALLOWED |= {(Range, key): "number, or a range" for parts in PARTS.values() for key in parts}
 ALLOWED |= {(model, "name"): "a [problem](#problems)" for model in PROBLEM_MODELS.values()}
 ALLOWED |= {(model, "sense"): "`min`, `max`" for model in PROBLEM_MODELS.values()}
 """Values that the type of a key does not show: the file's reader or a validator decides them."""
 DEFAULTS = {
     (CampaignConfig, "name"): "by default that of the file",
     (CampaignConfig, "problems"): "by default one, `robustness`",
-    (Range, "low"): "required without `choices`",
-    (Range, "high"): "required without `choices`",
+    (Range, "low"): "required but with `choices`, a sine, a step or a profile",
+    (Range, "high"): "required but with `choices`, a sine, a step or a profile",
     (MaternKernel, "length_scale"): "required by `paper` and on scenarios",
     (ClaimRequest, "delta"): "by default that of the problem",
     (CampaignConfig, "claims"): "by default `failure_probability` with method `sample`",
@@ -181,10 +192,10 @@ LINKS = {
 
 def page() -> str:
     """Return the page as Markdown."""
-    first = [_section(each) for each in SECTIONS[:7]]
+    first = [_section(each) for each in SECTIONS[:8]]
     methods = "".join(_method_row(*row) for row in SPACES.items())
     problems = "".join(_problem_row(*row) for row in OBJECTIVES.items())
-    rest = [_section(each) for each in SECTIONS[7:]]
+    rest = [_section(each) for each in SECTIONS[8:]]
     return "".join((HEAD, *first, METHODS, methods, PROBLEMS, problems, PROBLEM_KEYS, *_problem_keys(), *rest))
 
 

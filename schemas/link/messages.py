@@ -12,7 +12,7 @@ from ..failure import FailureKind
 from ..ranges import MAX_FILE_BYTES, AttemptNumber, ProcessId, ProtocolNumber, Seconds, StepCount
 from ..rollout import RolloutRequest, Sha256
 
-PROTOCOL = 3
+PROTOCOL = 4
 MAX_MESSAGE = 64 * 1024
 """Bytes of a JSON message."""
 MAX_REQUEST = 2**20

@@ -51,8 +51,8 @@ class SystemUnderTest(Protocol):
     ) -> Trajectory:
         """Simulate `horizon` seconds from the starting condition `x` (one value per parameter of the spec).
 
-        A value is a number; of a parameter with `signal` it is an `InputSignal`, which has knots and is a function of
-        time.
+        A value is a number; of a parameter with `signal` it is an `InputSignal`, a function of time that may have
+        knots.
 
         The first sample is at 0; the last one at the horizon, or before it by less than a step and by at most a
         fiftieth of the horizon. A trajectory that is shorter is refused.
@@ -133,7 +133,7 @@ def checked_options(
         if parameter.signal != isinstance(value, InputSignal):
             wanted = "an input over time" if parameter.signal else "a number"
             raise SimulationError(f"{parameter.name} is {wanted}, not {type(value).__name__}")
-        for number in value.knots if isinstance(value, InputSignal) else (value,):
+        for number in value.ends if isinstance(value, InputSignal) else (value,):
             if not (math.isfinite(number) and parameter.low <= number <= parameter.high):
                 raise SimulationError(f"{parameter.name} = {number} is outside [{parameter.low}, {parameter.high}]")
     known = {option.name: option for option in spec.options}

@@ -8,9 +8,8 @@ from ....schemas.draws.laws import ReportedLaws
 from ....schemas.file.distributed import DISTRIBUTIONS
 from ....schemas.file.disturbance import Disturbance
 from ....schemas.file.logs import LogMapping
-from ....schemas.file.parameters import parameter_ranges
+from ....schemas.file.parameters import Range, parameter_ranges
 from ....schemas.file.problem_models import RigorousProblem
-from ....schemas.file.space import Range
 from ....schemas.result.certificate import Assumption
 from ....schemas.result.facts import Header
 from ...campaign.plan import ProblemPlan

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence, Sized
 from decimal import Decimal
 
+from ....schemas.amounts import some_of
 from ....schemas.errors import one_line
 from ....schemas.file.drawn_claims import PROBABILITIES
 from ....schemas.result.certificate import Assumption, Certificate, CertificateClaim
@@ -140,10 +141,9 @@ def start_words(numbers: Sequence[str], units: Mapping[str, str]) -> str:
     ('gap = 55.265 m, mass = 3.4', '1, 2')
     """
     if len(numbers) != len(units):
-        return BETWEEN.join(numbers)
+        return some_of(numbers)
     pairs = zip(numbers, units.items(), strict=True)
-    each = (in_unit(f"{name} = {number}", unit) for number, (name, unit) in pairs)
-    return BETWEEN.join(each)
+    return some_of([in_unit(f"{name} = {number}", unit) for number, (name, unit) in pairs])
 
 
 def with_named_start(found: Assumption, units: Mapping[str, str]) -> Assumption:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from decimal import ROUND_FLOOR, Context
 
-from ....schemas.amounts import counted
+from ....schemas.amounts import counted, some_of
 from ....schemas.result.certificate import Counterexample, DrawnValue, FailureAtStart, LikeliestFailure, RiskAtStart
 from ..assumptions.statements import statement
 from .bound_text import DIGITS, in_unit, outward
@@ -167,4 +167,4 @@ def named_start(start: Mapping[str, float], units: Mapping[str, str] | None = No
     """
     shown = units or {}
     names = [name for name in shown if name in start] + [name for name in start if name not in shown]
-    return ", ".join(in_unit(f"{name} = {start[name]:.7g}", shown.get(name, "")) for name in names)
+    return some_of([in_unit(f"{name} = {start[name]:.7g}", shown.get(name, "")) for name in names])

@@ -75,7 +75,8 @@ def _space(campaign: FirstCampaign, inline: bool) -> Iterator[str]:
     where = f": {units}" if units else ""
     yield from toml_comment(f"All starting conditions of the claim, here the whole range of the system{where}.")
     for each in shapes.values():
-        yield from toml_comment(f"{each.name} is an input over time through {each.knots} knots over the horizon.")
+        through = f" through {each.knots} knots" if each.knots else ""
+        yield from toml_comment(f"{each.name} is an input over time{through}.")
     # A system that the file describes has the units that it gives; any other one knows its own.
     entries = {
         each.name: _range_value(each, shapes.get(each.name), unit=campaign.system.is_described) for each in parameters
@@ -112,8 +113,7 @@ def _range_value(parameter: Parameter, shape: SignalShape | None, *, unit: bool)
     described = {"unit": parameter.unit} if unit and parameter.unit else {}
     if shape is None and not described:
         return [parameter.low, parameter.high]
-    form = {} if shape is None else {"signal": shape.kind, "knots": shape.knots}
-    return {**form, "low": parameter.low, "high": parameter.high, **described}
+    return {**({} if shape is None else shape.keys), "low": parameter.low, "high": parameter.high, **described}
 
 
 def _table_lines(name: str, entries: Iterable[tuple[str, object]], inline: bool) -> Iterator[str]:

@@ -82,6 +82,8 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
     if wish.out is not None:  # first: to load a system may take seconds
         _check_unwritten(wish.out)
     known = named_campaign(wish.reference)
+    if known is not None and wish.specification is not None:
+        known = known.model_copy(update={"specification": wish.specification})
     spec = as_in_campaign(simulated_spec(wish.reference, "SYSTEM"), known).as_simulated
     wish = replace(wish, question=wish.question or (DEFAULT if len(spec.parameters) <= LATTICE_PARAMETERS else IN_MANY))
     question = QUESTIONS[wish.question]

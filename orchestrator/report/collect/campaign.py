@@ -30,7 +30,7 @@ from ...store.robustness import is_repeated
 from ...store.so_far import read_so_far
 from ..data.claims import VerdictCard, assumption_row
 from ..data.page import Axis, DeclaredDisturbance, ReportData, State
-from ..data.ranges import ranges
+from ..data.ranges import long_inputs, ranges
 from ..data.rollouts import RankedTest, RolloutsOfTest
 from ..rollout import of_tests
 from . import wording
@@ -309,4 +309,7 @@ def _collectors(header: Header) -> Iterator[tuple[str, ProblemCollector]]:
 
 def _axes(header: Header) -> tuple[Axis, ...]:
     ends = ranges(header)
-    return tuple(Axis(each.name, each.unit, *ends[each.name]) for each in header.spec.parameters)
+    long = long_inputs(header)
+    return tuple(
+        Axis(each.name, each.unit, *ends[each.name], long.get(each.name, "")) for each in header.spec.parameters
+    )

@@ -1,6 +1,7 @@
 """The importance of each parameter of a problem, from its posterior mean or from what was observed at drawn starts."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -42,22 +43,24 @@ def of_model(plan: ProblemPlan, mean: Floats) -> Importance | None:
     return Importance(True, box.size, None, tuple(parameters))
 
 
-def of_drawn_tests(x: Floats, y: Floats) -> Importance | None:
+def of_drawn_tests(x: Floats, y: Floats, read: Sequence[int] | None = None) -> Importance | None:
     """Return the importance for values `y` (n,) that were observed at starts `x` (n, p), drawn independently.
 
-    None for fewer than `FEWEST`, for one parameter, and for values that are all equal.
+    Of the parameters `read`, by default all: among a thousand knots chance makes some of them important. None for
+    fewer than `FEWEST` tests, for one parameter, and for values that are all equal.
     """
-    if len(x) < FEWEST or x.shape[1] < 2:
+    axes = list(range(x.shape[1]) if read is None else read)
+    if len(x) < FEWEST or len(axes) < 2:
         return None
-    shares = sample_indices(x, y)
+    shares = sample_indices(x[:, axes], y)
     if shares is None:
         return None
     groups = max(5, min(GROUPS, len(y) // GROUP))
     parameters = []
-    for axis in _most_important(shares):
-        at, effect = sample_effect(x[:, axis], y, groups)
+    for place in _most_important(shares):
+        at, effect = sample_effect(x[:, axes[place]], y, groups)
         parameters.append(
-            ParameterImportance(axis, float(shares[axis]), None, tuple(at.tolist()), tuple(effect.tolist()))
+            ParameterImportance(axes[place], float(shares[place]), None, tuple(at.tolist()), tuple(effect.tolist()))
         )
     return Importance(False, len(y), 2.0 / math.sqrt(len(y)), tuple(parameters))
 

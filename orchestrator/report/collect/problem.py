@@ -4,7 +4,7 @@ Facts are in terms of the maximised objective J; the data carry the sign of the 
 lower change places for a minimum.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -31,6 +31,7 @@ from ...store.export_tables import robustness_unit, unit
 from ...store.facts import ObservedTest
 from ..data.charts import ProblemCharts
 from ..data.page import Drawn, Problem, RegionMap, Surface
+from ..data.ranges import long_inputs
 from . import band, importance, limits
 from .drawn import histograms
 from .observed import observed_series, signed, worst_first
@@ -47,12 +48,21 @@ def empty_charts(config: CampaignConfig, plan: ProblemPlan) -> ProblemCharts:
 
 
 def charts_after(
-    charts: ProblemCharts, plan: ProblemPlan, method: ProblemMethod, bound: Bound, observed: ObservedTests
+    charts: ProblemCharts,
+    plan: ProblemPlan,
+    method: ProblemMethod,
+    bound: Bound,
+    observed: ObservedTests,
+    *,
+    read: Sequence[int],
 ) -> ProblemCharts:
-    """Return the charts of a problem after its last observed test, whose bound is `bound`."""
+    """Return the charts of a problem after its last observed test, whose bound is `bound`.
+
+    `read` are the parameters that are no knots of a long input over time.
+    """
     if isinstance(method, SampleMethod):
         drawn = drawn_tests(plan, observed)
-        found = importance.of_drawn_tests(observed.x[drawn], observed.each[drawn, 0])
+        found = importance.of_drawn_tests(observed.x[drawn], observed.each[drawn, 0], read)
         return replace(charts, importance=found)
     uncut = np.array(method.band(bound).mean)
     mean = limits.within(uncut, plan)
@@ -81,7 +91,8 @@ class ProblemCollector:
         self.proposed = ProposedTests()
         self.observed = ObservedTests(self.proposed)
         self.plan, self._method, self._header = plan, method(plan, header), header
-        self._config, self._own = config, own
+        self._config, self._own, long = config, own, long_inputs(header)
+        self._read = [k for k, each in enumerate(header.spec.parameters) if each.name not in long]
         self._bound: Bound | None = None
         self._sense = plan.sense
         self._values: list[Observed] = []
@@ -144,7 +155,9 @@ class ProblemCollector:
                 self._drawn = self._histograms(self._method)
             else:
                 self._surfaces = band.surfaces(self.plan, self._method, self._bound, self._worst_start)
-            self.charts = charts_after(self.charts, self.plan, self._method, self._bound, self.observed)
+            self.charts = charts_after(
+                self.charts, self.plan, self._method, self._bound, self.observed, read=self._read
+            )
             self.fed = self._method, self._bound
             self._tests = observed_series(self.plan, self.observed)
             self._warnings = self._contradictions()

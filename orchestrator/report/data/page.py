@@ -93,6 +93,8 @@ class Axis:
     unit: str
     low: float
     high: float
+    signal: str = ""
+    """Of an input over time with many parameters its name: it is read as a curve, and not number by number."""
 
 
 @dataclass(frozen=True, slots=True)

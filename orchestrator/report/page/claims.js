@@ -92,9 +92,9 @@ function spaceText(report) {
   const starts = report.problems.find(isListed)?.surfaces[0].points.length;
   // Beside drawn starts a search may choose disturbances, which no claim is for.
   const chosen = report.problems.some(drawsStarts) ? report.disturbances.map(({ name }) => name) : [];
-  const box = report.axes.filter(({ name }) => !chosen.includes(name)).map(({ name, low, high, unit }) => `${short(name, 24)} ${num(low)} to ${quantity(high, unit)}`);
+  const box = axesOf(report, readAxes(report)).filter(({ name }) => !chosen.includes(name)).map(({ name, low, high, unit }) => `${short(name, 24)} ${num(low)} to ${quantity(high, unit)}`);
   const region = report.where === null ? "" : `, where ${short(report.where, 300)}`;
-  return (starts ? `${plural(starts, "start")} with ` : "") + box.join(", ") + region;
+  return (starts ? `${plural(starts, "start")} with ` : "") + [...box, ...longInputs(report.axes)].join(", ") + region;
 }
 
 /** The verdict, the refutation, the claim in words and as a formula, the other claims. */

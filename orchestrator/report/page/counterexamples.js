@@ -111,13 +111,15 @@ function robustnessUnit(report) {
 
 /** "gap 5 m, speed 29.75 m/s". */
 function startText(report, x) {
-  return x.map((value, k) => `${axisName(report, k)}${quantity(value, report.axes[k]?.unit)}`).join(", ");
+  const part = (k) => `${axisName(report, k)}${quantity(x[k], report.axes[k]?.unit)}`;
+  return report.axes.length ? [...readAxes(report).map(part), ...longInputs(report.axes)].join(", ") : x.map((_, k) => part(k)).join(", ");
 }
 
 /** "gap 55 to 60 m, speed 24 to 26 m/s". */
 function rangeText(report, { low, high }) {
   const part = (value, k) => `${axisName(report, k)}${value === high[k] ? "" : `${num(value)} to `}${quantity(high[k], report.axes[k]?.unit)}`;
-  return low.map(part).join(", ");
+  if (!report.axes.length) return low.map(part).join(", ");
+  return [...readAxes(report).map((k) => part(low[k], k)), ...longInputs(report.axes)].join(", ");
 }
 
 function axisName(report, k) {

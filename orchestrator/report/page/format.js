@@ -65,7 +65,19 @@ function plural(value, word) {
 
 /** "x = 5 m, y = 0 m". */
 function place(x, axes) {
-  return x.map((value, k) => `${axes[k] ? `${shortMiddle(axes[k].name, 24)} = ` : ""}${quantity(value, axes[k]?.unit)}`).join(", ");
+  const part = (value, k) => `${axes[k] ? `${shortMiddle(axes[k].name, 24)} = ` : ""}${quantity(value, axes[k]?.unit)}`;
+  return [...x.flatMap((value, k) => (axes[k]?.signal ? [] : [part(value, k)])), ...longInputs(axes)].join(", ");
+}
+
+/** The numbers of the axes that are read one by one: not those of an input over time that has many. */
+function readAxes(report) {
+  return report.axes.map((_, k) => k).filter((k) => !report.axes[k].signal);
+}
+
+/** "push over time (1,000 parameters)" for each input that is read as a curve. */
+function longInputs(axes) {
+  const names = axes.map(({ signal }) => signal).filter(Boolean);
+  return [...new Set(names)].map((name) => `${short(name, 24)} over time (${plural(names.filter((each) => each === name).length, "parameter")})`);
 }
 
 /** A duration: "95 s", "12 min", "3.4 h". */

@@ -64,7 +64,8 @@ function tree(report, selected, data) {
  */
 function shownOn(problem) {
   const bound = problem.sense === "max" ? "upper" : "lower";
-  const first = page.report.axes.slice(0, 2).map((_, k) => k);
+  const read = readAxes(page.report);
+  const first = (read.length > 1 ? read : page.report.axes.map((_, k) => k)).slice(0, 2);
   return { series: page.series.get(problem.name) ?? (isListed(problem) ? bound : "mean"), chosen: page.axes.get(problem.name) ?? first };
 }
 

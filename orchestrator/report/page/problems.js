@@ -176,7 +176,7 @@ function planeText(report, band, chosen) {
 function axisSwitch(report, problem, chosen) {
   const option = (axis, k, at) => el("option", { value: k, selected: k === chosen[at] }, shortMiddle(axis.name, 20) + unitOf(axis));
   const choice = (name, at) =>
-    el("select", { "data-axis": at, "data-problem": problem.name, "aria-label": name, title: name }, report.axes.map((axis, k) => option(axis, k, at)));
+    el("select", { "data-axis": at, "data-problem": problem.name, "aria-label": name, title: name }, [...new Set([...readAxes(report), ...chosen])].map((k) => option(report.axes[k], k, at)));
   return el("span.axes", choice("Horizontal axis", 0), "\u00d7", choice("Vertical axis", 1));
 }
 
@@ -248,7 +248,7 @@ function startBars(report, index, alone) {
   return el(
     "figure.starts",
     alone ? { id: `map-${index}`, "data-tests": problem.tests.test.length, "data-problem": problem.name } : {},
-    el("figcaption", `Starts (${report.axes.map((axis) => withUnit(axis.name, axis.unit)).join(", ")}), worst bound first`),
+    el("figcaption", `Starts (${[...axesOf(report, readAxes(report)).map((axis) => withUnit(axis.name, axis.unit)), ...longInputs(report.axes)].join(", ")}), worst bound first`),
     el(`div.bars#bars-${index}`, rows),
     order.length > MOST_BARS ? el("p.muted", `${order.length - MOST_BARS} starts with better bounds are not shown.`) : null,
     barScale(range, marks),
@@ -269,7 +269,7 @@ function startRow(report, problem, n, dot, range, marks) {
   return el(
     "button.row",
     { "data-select": test, disabled: test === null, title },
-    barRow(`(${points[n].map((value) => num(value)).join(", ")})`, bars, ends.filter(Boolean).join(" to "), range, marks),
+    barRow(`(${points[n].filter((_, k) => !report.axes[k]?.signal).map((value) => num(value)).join(", ")})`, bars, ends.filter(Boolean).join(" to "), range, marks),
   );
 }
 

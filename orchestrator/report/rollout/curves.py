@@ -21,7 +21,6 @@ from ...mathematics.stl.tree import (
     columns,
     predicates,
 )
-from ..data.ranges import ranges
 from ..data.rollouts import Curve, InputCurve
 
 Floats = NDArray[np.float64]
@@ -30,6 +29,10 @@ MOST_POINTS = 240
 """Points of one curve."""
 INPUT_POINTS = 101
 """Of an input signal, beside its knots."""
+PER_PERIOD, MOST_INPUT_POINTS = 16, 1000
+"""Further ones of a sine."""
+MOST_KNOTS = 100
+"""Knots of one input that are marked."""
 MOST_COLUMNS = 3
 """Columns drawn for one test."""
 MOST_FURTHER = 40
@@ -99,27 +102,38 @@ def of_signals(header: Header, x: Sequence[float]) -> Iterator[InputCurve]:
     spec, horizon = header.spec, header.config.horizon
     if not spec.signals:
         return
-    units = {each.name: each.unit for each in spec.declared.parameters}
-    ends, values = ranges(header), start_values(spec, x, horizon)
+    units, space = {each.name: each.unit for each in spec.declared.parameters}, header.config.space
+    assert isinstance(space, dict), "a list has no input signals"
+    values = start_values(spec, x, horizon)
     for shape in spec.signals:
         signal = values[shape.name]
         assert isinstance(signal, InputSignal), "the system declares it"
         # Steps are vertical: a point before each knot, and one at it.
-        t = np.unique([*np.linspace(0.0, horizon, INPUT_POINTS), *signal.times, *_before(signal)])
+        knots = tuple(t for t in signal.times if t <= horizon)
+        t = np.unique([*np.linspace(0.0, horizon, _points(signal)), *knots, *_before(signal)])
+        each = space[shape.name]
         yield InputCurve(
             name=shape.name,
             unit=units[shape.name],
             kind=signal.kind,
             t=tuple(t.tolist()),
             values=tuple(signal(t).tolist()),
-            knots=signal.times,
-            low=min(ends[name][0] for name in shape.names),
-            high=max(ends[name][1] for name in shape.names),
+            # More marks are a line of their own.
+            knots=knots if len(knots) <= MOST_KNOTS else (),
+            low=each.low,
+            high=each.high if each.high > each.low else each.low + 1.0,
         )
 
 
 def _before(signal: InputSignal) -> list[float]:
-    return [t * (1 - 1e-6) for t in signal.times] if signal.kind == "constant" else []
+    return [t * (1 - 1e-6) for t in signal.times if t <= signal.horizon] if signal.kind == "constant" else []
+
+
+def _points(signal: InputSignal) -> int:
+    """Return how many points show a signal beside its knots: of a sine so many that each period is seen."""
+    if signal.wave is None:
+        return INPUT_POINTS
+    return min(INPUT_POINTS + int(PER_PERIOD * signal.wave.frequency * signal.horizon), MOST_INPUT_POINTS)
 
 
 def thinned(t: Floats, values: Floats, most: int = MOST_POINTS) -> tuple[tuple[float, ...], tuple[float, ...]]:

@@ -7,6 +7,7 @@ from pathlib import Path
 import sqlalchemy as sa
 from sqlalchemy import Connection
 
+from ....schemas.amounts import some_of
 from ....schemas.base import canonical_json
 from ....schemas.batch import BatchRequest
 from ....schemas.errors import EvidenceError, PerfboundError, one_line
@@ -101,7 +102,7 @@ def description(found: RecordedRollout) -> str:
     if request.disturbances:
         every = zip(spec.disturbances, request.disturbances, strict=True)
         numbers += [(law.name, law.unit, value) for law, value in every if law.name in spec.as_parameters]
-    start = ", ".join(f"{name} = {value:.6g} {unit}".removesuffix(" 1").rstrip() for name, unit, value in numbers)
+    start = some_of([f"{name} = {value:.6g} {unit}".removesuffix(" 1").rstrip() for name, unit, value in numbers])
     score = "" if found.fact.robustness is None else f", robustness {found.fact.robustness:.6g}"
     score += "; its sign may depend on a time stamp close to a border of a window" if found.fact.by_tolerance else ""
     drawn = words(found.header, request.variant, request.seed)

@@ -4,6 +4,7 @@ import textwrap
 
 from matplotlib.axes import Axes
 
+from ....schemas.amounts import some_of
 from ....schemas.rollout import RolloutRequest
 from ....schemas.system import SystemSpec
 from ....schemas.trajectory.trajectory import Trajectory
@@ -51,9 +52,11 @@ def drawn_rollout(spec: SystemSpec, request: RolloutRequest, trajectory: Traject
 
 
 def _rollout_title(spec: SystemSpec, request: RolloutRequest, shown: int) -> str:
-    start = ", ".join(
-        f"{each.name} = {value:g} {style.plain_text(each.unit)}".removesuffix(" 1").rstrip()
-        for each, value in zip(spec.own_parameters, request.x, strict=True)
+    start = some_of(
+        [
+            f"{each.name} = {value:g} {style.plain_text(each.unit)}".removesuffix(" 1").rstrip()
+            for each, value in zip(spec.own_parameters, request.x, strict=True)
+        ]
     )
     some = "" if shown == len(spec.columns) - 1 else f"; {shown} of {len(spec.columns) - 1} columns"
     drawn = f"; {style.plain_text(request.disturbance_words(spec))}" if request.disturbances else ""

@@ -146,3 +146,97 @@ def test_killed_and_resumed_it_verifies(started: Processes, tmp_path: Path, name
     assert all([each["name"] for each in inputs] == ["push"] for inputs in drawn)
     exported = started.run("perfbound", "export", calm, "tests", "--out", "-")
     assert "push_0" in exported.out.splitlines()[0]
+
+
+FORMS = f"""horizon = 8.0
+specification = "always (abs(speed - reference) <= 4)"
+method = "sample"
+max_tests = 20
+batch = 4
+
+[space]
+push = {{ signal = "constant", times = [0, 1, 3, 7.25], low = -1, high = 1, unit = "N" }}
+gust = {{ signal = "sine", amplitude = [0, 2], frequency = [0.1, 2], unit = "N" }}
+reference = {{ profile = "reference.csv", unit = "m/s" }}
+mass = {{ low = 1, high = 3, unit = "kg" }}
+
+[system]
+program = [{json.dumps(sys.executable)}, "forms.py"]
+columns = {{ speed = "m/s" }}
+"""
+FORMS_PROGRAM = """import json, math, sys
+for line in sys.stdin:
+    asked = json.loads(line)
+    push, gust, mass = (asked["start"][name] for name in ("push", "gust", "mass"))
+    step = 0.01
+    assert asked["start"]["reference"] == {"signal": "linear", "knots": [0.0, 1.5, 0.5], "times": [0.0, 2.0, 6.0]}
+    speed, rows = 0.0, []
+    for k in range(round(asked["horizon"] / step) + 1):
+        t = k * step
+        force = [u for u, at in zip(push["knots"], push["times"]) if at <= t + 1e-9][-1]
+        force += gust["offset"] + gust["amplitude"] * math.sin(2 * math.pi * gust["frequency"] * t + gust["phase"])
+        speed += force * step / mass
+        rows.append(f"{t},{speed}")
+    open(asked["path"], "w").write("".join(row + "\\n" for row in rows))
+    print('{"done": true}', flush=True)
+"""
+
+
+def test_a_formula_names_a_recorded_profile_beside_times_and_a_sine(started: Processes, tmp_path: Path) -> None:
+    (tmp_path / "forms.py").write_text(FORMS_PROGRAM)
+    (tmp_path / "c.toml").write_text(FORMS)
+    (tmp_path / "reference.csv").write_text("t,value\n0,0\n2,1.5\n6,0.5\n")
+    ended = started.run("perfbound", "run", tmp_path / "c.toml", "--out", tmp_path / "run")
+    assert ended.code == 0, ended.err
+    verify = ("perfbound", "verify", tmp_path / "run", "--resimulate", "3", "--json", "--system", tmp_path / "c.toml")
+    verified = started.run(*verify)
+    assert verified.code == 0, verified.out
+    found = {each["check"]: each["status"] for each in json.loads(verified.out)["checks"]}
+    assert {check for check, status in found.items() if status != "passed"} - set(ABSENT) <= {"signature"}
+
+    header = started.run("perfbound", "export", tmp_path / "run", "tests", "--out", "-").out.splitlines()[0]
+    names = [*(f"push_{k} (N)" for k in range(4)), "gust_amplitude (N)", "gust_frequency (Hz)", "mass (kg)"]
+    assert header.split(",")[3 : 3 + len(names)] == names
+    data = page_data(tmp_path / "run")
+    scene = next(each for each in data["scenes"] if each["inputs"])
+    assert [each["name"] for each in scene["inputs"]] == ["push", "gust", "reference"]
+    # The reference is a column of the evidence, which the program did not write.
+    curve = next(each for each in scene["traces"] if each["column"] == "reference")
+    assert curve["unit"] == "m/s"
+    assert curve["values"] == pytest.approx(np.interp(curve["t"], [0, 2, 6], [0, 1.5, 0.5]).tolist(), abs=1e-12)
+
+
+LONG = """horizon = 2.0
+specification = "always (abs(speed - push) <= 0.5)"
+method = "sample"
+max_tests = 12
+recheck = 2
+
+[system]
+python = "mass.py:mass"
+after_end = "hold"
+
+[space]
+push = { signal = "linear", knots = 1000, rate = 5, low = -1, high = 1, unit = "N" }
+mass = [1, 3]
+"""
+
+
+def test_a_thousand_knots_with_a_rate_are_a_curve_in_the_report(started: Processes, tmp_path: Path) -> None:
+    (tmp_path / "mass.py").write_text(FUNCTION)
+    (tmp_path / "c.toml").write_text(LONG)
+    ended = started.run("perfbound", "run", tmp_path / "c.toml", "--out", tmp_path / "run")
+    assert ended.code == 0, ended.err
+    assert "share_900" not in ended.out
+    rollout = read_mcap(next((tmp_path / "run" / "trajectories").rglob("*.mcap")).read_bytes())
+    assert rollout.trajectory.columns == ("t", "speed", "applied", "push", "ended")
+    push = rollout.trajectory.column("push")
+    assert push.tolist() == rollout.trajectory.column("applied").tolist()
+    assert np.abs(np.diff(push)).max() <= 5 * 0.01 * (1 + 1e-9)
+    data = page_data(tmp_path / "run")
+    assert [each["signal"] for each in data["axes"]] == ["push"] * 1000 + [""]
+    assert len(json.dumps(data)) < 2_000_000
+    verified = started.run(
+        "perfbound", "verify", tmp_path / "run", "--resimulate", "1", "--system", tmp_path / "c.toml"
+    )
+    assert verified.code == 0, verified.out

@@ -22,8 +22,8 @@ from perfbound.orchestrator.mathematics.stl.robustness import robustness
 from perfbound.orchestrator.store import facts as recorded_facts
 from perfbound.orchestrator.store import read
 from perfbound.schemas.errors import CampaignError
+from perfbound.schemas.file.parameters import Box, Range
 from perfbound.schemas.file.reader import parse_campaign
-from perfbound.schemas.file.space import Box, Range
 from perfbound.schemas.result.facts import Header, ProposalFact
 from perfbound.workers.systems import load_system
 from tests.campaigns import config

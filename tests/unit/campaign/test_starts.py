@@ -28,9 +28,9 @@ from perfbound.orchestrator.mathematics.gp.lattice import Lattice
 from perfbound.orchestrator.mathematics.gp.points import Points
 from perfbound.schemas.errors import CampaignError
 from perfbound.schemas.file.config import CampaignConfig
-from perfbound.schemas.file.parameters import signal_shapes
+from perfbound.schemas.file.parameters import Box, Range, signal_shapes
 from perfbound.schemas.file.reader import parse_campaign
-from perfbound.schemas.file.space import Box, Range, Scenarios, Space, StartTable
+from perfbound.schemas.file.space import Scenarios, Space, StartTable
 from perfbound.schemas.result.facts import Header
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.system import Column, Parameter, SystemSpec

@@ -19,9 +19,9 @@ from perfbound.orchestrator.store.export import table_rows
 from perfbound.schemas.errors import CampaignError
 from perfbound.schemas.file.against_system import as_in_campaign, check_against
 from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.file.parameters import Range
 from perfbound.schemas.file.problem_models import RigorousProblem
 from perfbound.schemas.file.reader import parse_campaign
-from perfbound.schemas.file.space import Range
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.ranges import LARGEST_BATCH
 from perfbound.schemas.requests import RequestTemplate

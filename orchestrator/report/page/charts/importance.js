@@ -26,7 +26,7 @@ function importanceFigure(report, problem) {
 
 function importanceCaption(report, { charts: { importance }, observed, unit, drawn }) {
   const most = importance.parameters.length > MOST_EFFECTS ? ` of the ${MOST_EFFECTS} most important` : "";
-  const left = report.axes.length - importance.parameters.length;
+  const left = readAxes(report).length - importance.parameters.length;
   const others = left > 0 ? ` The ${left} least important parameters are left out.` : "";
   if (importance.of_model) {
     return `Bars: the share of the variation of the model's mean over the box that a parameter explains (first-order and total Sobol indices, exact on the ${count(importance.values)} nodes of a grid, every start as likely as another). Curves${most}: the mean of the model over all other parameters. This describes the model after ${plural(observed, "test")}, and is no part of the claim.${others}`;

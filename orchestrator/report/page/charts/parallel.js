@@ -8,7 +8,7 @@ const LINE_REACH = 10; // pixels beside a line that select it
 /** The figure of all parameters; two have a map that shows the same. */
 function parallelFigure(report, index) {
   const problem = report.problems[index];
-  if (report.axes.length < 3) return null;
+  if (report.axes.length < 3 || readAxes(report).length < 2) return null;
   const title = "Tests over all parameters";
   const starts = dotsOf(report, problem).length;
   const half = MOST_LINES / 2;
@@ -26,7 +26,7 @@ function parallelFigure(report, index) {
       legendItem("key.worst", "worst observed"),
       legendItem("key.selected", "selected test"),
     ),
-    caption("Each line is a tested start, which crosses every axis at the value of its parameter; the stronger its colour the worse its observed value."),
+    caption(`Each line is a tested start, which crosses every axis at the value of its parameter; the stronger its colour the worse its observed value.${longInputs(report.axes).length ? ` Not shown: ${longInputs(report.axes).join(", ")}.` : ""}`),
   );
 }
 
@@ -35,14 +35,15 @@ function parallelFigure(report, index) {
  * @param {{report: object, problem: object, selected: number|null, pointer: [number, number]|null, pointed: number|null}} view
  */
 function parallelModel(view, width) {
-  const { axes } = view.report;
+  const shown = readAxes(view.report);
+  const axes = axesOf(view.report, shown);
   const step = Math.min(Math.max(ROW.height / axes.length, ROW.least), ROW.most);
   const names = Math.min(width * COLUMN.share, COLUMN.most, Math.max(...axes.map((axis) => measured(short(axis.name) + unitOf(axis)))));
   const left = names + COLUMN.number + COLUMN.gap;
   const box = { left, top: ROW.top + step / 2, width: Math.max(60, width - left - COLUMN.number), height: step * (axes.length - 1) };
   // Axes below one another: names of 30 characters stand beside them, and a hundred parameters scroll.
   const rows = axes.map(({ low, high }, k) => ({ ...frame(box, [low, high], [0, 1]), y: box.top + k * step }));
-  const dots = marked(view, drawnStarts(view)).map((dot) => ({ ...dot, path: dot.x.map((value, k) => [rows[k].toX(value), rows[k].y]) }));
+  const dots = marked(view, drawnStarts(view)).map((dot) => ({ ...dot, values: shown.map((k) => dot.x[k]), path: shown.map((k, row) => [rows[row].toX(dot.x[k]), rows[row].y]) }));
   const model = { ...view, axes, box, step, names, dots, height: box.top + box.height + step / 2 + ROW.bottom };
   return { ...model, dotAt: (pixel) => lineNear(model, pixel) };
 }
@@ -149,7 +150,7 @@ function drawPointedValues(context, { dots, box }) {
   dot.path.forEach(([x, y], k) => {
     const left = x > box.left + box.width / 2;
     align(context, left ? "right" : "left", "middle");
-    const at = [num(dot.x[k]), x + (left ? -7 : 7), y];
+    const at = [num(dot.values[k]), x + (left ? -7 : 7), y];
     context.strokeText(...at);
     context.fillText(...at);
   });

@@ -1,6 +1,6 @@
 // Section of the selected test: why it is shown, its curves, its rollouts, and the commands that repeat them.
 
-const INTERPOLATION = { pchip: "joined by monotone cubics", linear: "joined by straight lines", constant: "each held until the next one" };
+const INTERPOLATION = { pchip: "joined by monotone cubics", linear: "joined by straight lines", constant: "each held until the next one", sine: "a sine" };
 const RANKS = { worst: "worst rollout", "first violation": "first violation", median: "median rollout", best: "best rollout" };
 
 /**
@@ -81,8 +81,15 @@ function noCurves(selected, data, live) {
 /** The input signals of the test's start, one picture each. */
 function inputFigures(data) {
   return data.inputs.map(({ name, unit, kind, knots }, k) =>
-    chartFigure(`inputs-${k}`, `Input ${withUnit(name, unit)} against time`, el("ul.legend", legendItem("mark.knot", `${plural(knots.length, "knot")}, ${INTERPOLATION[kind] ?? short(kind)}`))),
+    chartFigure(`inputs-${k}`, `Input ${withUnit(name, unit)} against time`, el("ul.legend", inputLegend(kind, knots.length))),
   );
+}
+
+/** The marks of the knots; of a sine, and of knots that are too many to mark, the words alone. */
+function inputLegend(kind, knots) {
+  const between = INTERPOLATION[kind] ?? short(kind);
+  if (knots) return legendItem("mark.knot", `${plural(knots, "knot")}, ${between}`);
+  return el("li", kind === "sine" ? between : `knots, ${between}`);
 }
 
 /** Draw an input over the whole range of its knots, so that the inputs of all tests have one scale. */

@@ -23,7 +23,8 @@ from perfbound.orchestrator.prepare.check_system.trials import (
 )
 from perfbound.schemas.errors import SimulationError
 from perfbound.schemas.file.disturbance import Normal
-from perfbound.schemas.file.space import Range, Scenarios
+from perfbound.schemas.file.parameters import Range
+from perfbound.schemas.file.space import Scenarios
 from perfbound.schemas.system import Column, Parameter, SystemSpec
 from perfbound.schemas.system_check import Acts, ChildRun, Measured, SampleTimes, Trial
 from perfbound.schemas.trajectory.trajectory import Trajectory

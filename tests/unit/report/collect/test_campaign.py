@@ -29,7 +29,8 @@ from perfbound.orchestrator.store.export_tables import unit
 from perfbound.orchestrator.store.lock import campaign_lock
 from perfbound.schemas.errors import JournalError, PerfboundError
 from perfbound.schemas.file.config import CampaignConfig
-from perfbound.schemas.file.space import Range, Scenarios
+from perfbound.schemas.file.parameters import Range
+from perfbound.schemas.file.space import Scenarios
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.result.facts import Header, ObservationFact, ProposalFact, RolloutFact
 from perfbound.schemas.system import SystemSpec

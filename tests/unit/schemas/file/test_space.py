@@ -16,11 +16,11 @@ from perfbound.schemas.file.against_system import check_against
 from perfbound.schemas.file.defaults import file_schema
 from perfbound.schemas.file.distributed import DISTRIBUTIONS
 from perfbound.schemas.file.method_spaces import NEEDED, SPACES
+from perfbound.schemas.file.parameters import Range
 from perfbound.schemas.file.problem_models import PROBLEM_MODELS
 from perfbound.schemas.file.reader import load_campaign, parse_campaign
 from perfbound.schemas.file.space import (
     MAX_TABLE,
-    Range,
     Space,
     SpaceKind,
     StartTable,
