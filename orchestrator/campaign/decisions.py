@@ -22,6 +22,7 @@ from .observation import (
     Load,
     Observer,
     Others,
+    Score,
     Trajectories,
     is_robustness,
     observed_block,
@@ -160,16 +161,15 @@ class ProblemDecisions:
         return rollout_seed(self._header, rollout)
 
 
-def scores(observer: Observer, rollout: RolloutId, trajectory: Trajectory) -> tuple[float | None, bool, float | None]:
-    """Return what a `RolloutFact` says of a trajectory: the clipped robustness, None without a specification; whether
-    the tolerance of its stamps could decide the sign; and when it ended, if that was before the horizon.
+def score(observer: Observer, rollout: RolloutId, trajectory: Trajectory) -> Score:
+    """Return what a `RolloutFact` says of a trajectory.
 
     Raises:
         PerfboundError: it cannot be evaluated; the message names the rollout.
 
     """
     with naming(f"rollout {rollout}"):
-        return observer.robustness(trajectory), observer.decided_by_tolerance(trajectory), observer.end(trajectory)
+        return observer.score(trajectory)
 
 
 def scores_of_batch(observer: Observer, request: BatchRequest, batch: Batch) -> Scores:

@@ -41,7 +41,7 @@ from ..store import files as evidence
 from . import state
 from .closing.checks import ClosingChecks
 from .closing.spot_check import SpotCheck
-from .decisions import Decider, Follow, ProblemDecisions, scores
+from .decisions import Decider, Follow, ProblemDecisions, score
 from .extension import check_extension
 from .methods import methods
 from .observation import Observer
@@ -244,7 +244,7 @@ class Ledger:
         else:
             assert isinstance(request, RolloutRequest)
             file = (sha256, len(payload), path)
-            fact = RolloutFact(rollout, request.seed, *file, *scores(self.observer, rollout, found))
+            fact = RolloutFact(rollout, request.seed, *file, **score(self.observer, rollout, found)._asdict())
         self._files.write(evidence.inside(self._directory, path), payload)
         # Its test is observed as soon as the other rollouts of it are there: it is not read back from the disk.
         if not isinstance(found, Scored):

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -21,6 +22,7 @@ from ...schemas.trajectory.reduced import Scores
 from ...schemas.trajectory.trajectory import Trajectory
 from ...schemas.values import Observation
 from ..mathematics.bounds.one_law.risk import linearised
+from ..mathematics.search.goal import ALONE, Goal, goal_of
 from ..mathematics.stl.parser import Formula, parse_formula
 from ..mathematics.stl.predicates import predicate_sup
 from ..mathematics.stl.robustness import Evaluated, evaluated_each
@@ -32,6 +34,31 @@ Trajectories = Mapping[tuple[str, int], Trajectory]
 """(variant, replicate) -> trajectory of one test."""
 Others = Callable[[tuple[str, int]], Iterable[Trajectory]]
 """(variant, replicate) -> the trajectories of the same test that are there for it."""
+
+
+LIMITS = -objectives.LARGEST, objectives.LARGEST
+
+
+class Score(NamedTuple):
+    """What a fact says of the trajectory of a rollout."""
+
+    robustness: float | None
+    """Clipped; None without a specification."""
+    by_tolerance: bool
+    """Whether the tolerance of its time stamps could decide the sign of the specification, or of a requirement."""
+    ended: float | None
+    """When it ended, in s, if that was before the horizon."""
+    parts: tuple[float, ...]
+    """The robustness of each part that a search has a model of."""
+
+
+def goal_of_search(config: CampaignConfig, formula: Formula | None) -> tuple[Goal, tuple[Formula, ...]]:
+    """Return the goal of the search of a campaign, and the parts that are recorded: none where it has one model."""
+    # Of a batch the scores of the whole are recorded, in columns.
+    if config.falsify is None or formula is None or config.batch > 1:
+        return ALONE, ()
+    goal, parts = goal_of(formula)
+    return goal, parts if len(parts) > 1 else ()
 
 
 class Observer:
@@ -50,6 +77,7 @@ class Observer:
         columns_alone = all(OBJECTIVES[problem.name].measured == "column" for problem in config.problems)
         self._clip = config.clip or (None if columns_alone else UNBOUNDED)
         self._parsed = None if config.formula is None else parse_formula(config.formula, spec.units)
+        self._sought = goal_of_search(config, self._parsed)[1]
         self._requirements = [parse_formula(each.formula, spec.units) for each in config.specifications]
         self._parts = {
             each.name: Observer(part, spec) for each, part in zip(config.specifications, parts_of(config), strict=False)
@@ -75,11 +103,18 @@ class Observer:
             return None
         return objectives.clipped(self._evaluated(trajectory, self._parsed).robustness, self._clip)
 
-    def decided_by_tolerance(self, trajectory: Trajectory) -> bool:
-        """Whether the tolerance of its time stamps could decide the sign of the specification, or of a requirement."""
+    def score(self, trajectory: Trajectory) -> Score:
+        """Return what is recorded of a rollout. Raises as `robustness`."""
         # A clip of one sign leaves nothing to decide, but changes no word: the sign is that of the specification.
         formulas = ([] if self._parsed is None else [self._parsed]) + self._requirements
-        return any(self._evaluated(trajectory, each).by_tolerance for each in formulas)
+        return Score(
+            self.robustness(trajectory),
+            by_tolerance=any(self._evaluated(trajectory, each).by_tolerance for each in formulas),
+            ended=None if self._after_end is None else end_of(trajectory),
+            parts=tuple(
+                objectives.clipped(self._evaluated(trajectory, each).robustness, LIMITS) for each in self._sought
+            ),
+        )
 
     def scores_of(self, batch: Batch) -> Scores:
         """Return the scores of a batch: of each rollout those that it has alone."""
@@ -119,10 +154,6 @@ class Observer:
         if id(formula) not in known:
             known[id(formula)] = objectives.scored(formula, trajectory, self._after_end, self._beyond)
         return known[id(formula)]
-
-    def end(self, trajectory: Trajectory) -> float | None:
-        """Return when a rollout ended, in s, if that was before the horizon."""
-        return None if self._after_end is None else end_of(trajectory)
 
     def robustness_of(self, plan: ProblemPlan, trajectory: Trajectory) -> float | None:
         """Return the robustness that a problem is about: where it has a requirement, of that one."""

@@ -1,12 +1,11 @@
 """Where the tests of a problem come from: its method, or a search for a counterexample."""
 
-import math
-import sys
 from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
 
+from ...schemas.file.parameters import signal_shapes
 from ...schemas.file.problem_models import Falsify
 from ...schemas.result.block_facts import BlockObservationFact, Floats, Integers
 from ...schemas.result.facts import Header, ObservationFact
@@ -14,7 +13,10 @@ from ...schemas.values import Bound, Proposal
 from ..mathematics.bounds.sample import SampleMethod
 from ..mathematics.gp.points import point_at
 from ..mathematics.search import Falsifier
+from ..mathematics.stl.parser import parse_formula
 from .methods import ProblemMethod
+from .objectives import LARGEST, clipped
+from .observation import LIMITS, goal_of_search
 from .plan import ProblemPlan
 from .region import Start, condition
 from .seeds import first_node, uniform
@@ -113,8 +115,21 @@ class SearchSource:
         seed = int(uniform(header, f"{plan.name}.search", range(1), 1)[0, 0] * 2**53)
         # Ends of a range that are equal: a parameter that never changes, in a box that has to have an inside.
         high = np.where(high > low, high, low + 1.0)
+        formula = None if header.config.formula is None else parse_formula(header.config.formula)
+        goal, parts = goal_of_search(header.config, formula)
         self._search = Falsifier(
-            low.tolist(), high.tolist(), seed=seed, random_every=falsify.random_every, admitted=self._region
+            low.tolist(),
+            high.tolist(),
+            seed=seed,
+            random_every=falsify.random_every,
+            admitted=self._region,
+            signals=[
+                [plan.parameters.index(name) for name in shape.names]
+                for shape in signal_shapes(header.config.space)
+                if shape.knots_alike
+            ],
+            goal=goal,
+            parts=max(len(parts), 1),
         )
 
     def propose(self, series: Series, test: int) -> Proposal:
@@ -157,10 +172,12 @@ class SearchSource:
         assert proposal is not None
         assert isinstance(fact, ObservationFact)
         # The worst, not the mean: one rollout below 0 is the counterexample.
-        worst = min((each.robustness for each in series.last_rollouts if each.robustness is not None), default=math.inf)
+        scored = [each for each in series.last_rollouts if each.robustness is not None]
+        worst = min(scored, key=lambda each: each.robustness or 0.0, default=None)
         # A drawn start may have a disturbance beyond what a search chooses.
         x = tuple(np.clip(proposal.x, *self._space.box).tolist())
-        self._search.observe(x, max(-sys.float_info.max, min(worst, sys.float_info.max)))
+        value = LARGEST if worst is None or worst.robustness is None else clipped(worst.robustness, LIMITS)
+        self._search.observe(x, value, () if worst is None else worst.parts)
         if self._plan.is_evidence(fact.test):
             return self._method.observe(proposal, fact.observation)
         # A start that was chosen by the outcomes before it is no sample: the bound is that of the samples so far.

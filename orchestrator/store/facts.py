@@ -61,7 +61,8 @@ def _rollout_fact(row: Any) -> RolloutFact | BatchFact:
         robustness, tolerance, ended, kept = (each or b"" for each in optional)
         columns = (row.seeds, row.digests, robustness, tolerance, ended, kept)
         return BatchFact(rollout, row.block, row.replicates, *file, *columns, failures)
-    return RolloutFact(rollout, row.seed, *file, row.robustness, bool(row.by_tolerance), row.ended)
+    marks = (bool(row.by_tolerance), row.ended)
+    return RolloutFact(rollout, row.seed, *file, row.robustness, *marks, parts=_parts(row))
 
 
 def each_rollout_fact(row: Any) -> RolloutFact:
@@ -69,7 +70,11 @@ def each_rollout_fact(row: Any) -> RolloutFact:
     rollout = RolloutId(row.problem, row.test, row.variant, row.replicate)
     file = (row.sha256, row.size, row.path)
     marks = (bool(row.by_tolerance), row.ended, row.batch, bool(row.kept))
-    return RolloutFact(rollout, row.seed, *file, row.robustness, *marks)
+    return RolloutFact(rollout, row.seed, *file, row.robustness, *marks, parts=_parts(row))
+
+
+def _parts(row: Any) -> tuple[float, ...]:
+    return () if row.parts is None else tuple(map(float, json.loads(row.parts)))
 
 
 def discard_fact(row: Any) -> DiscardFact:
@@ -120,6 +125,7 @@ def fact_row(fact: StoredFact) -> tuple[str, dict[str, Any]]:
         case RolloutFact(rollout):
             row = rollout._asdict() | {name: getattr(fact, name) for name in _OF_ROLLOUT}
             row |= {"block": rollout.test, "replicates": 1, "places": 1, **_sums(fact), **dict.fromkeys(_OF_BATCH)}
+            row["parts"] = canonical_json(list(fact.parts)) if fact.parts else None
             table = "rollouts"
         case BatchFact():
             row, table = _batch_row(fact), "rollouts"
@@ -171,6 +177,7 @@ def _batch_row(fact: BatchFact) -> dict[str, Any]:
         "path": fact.path,
         "by_tolerance": int(fact.by_tolerance.any()),
         "ended": None,
+        "parts": None,
         "block": fact.block,
         "replicates": fact.replicates,
         "places": len(fact),

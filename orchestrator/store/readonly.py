@@ -73,13 +73,13 @@ CREATE TEMP VIEW each_test AS
         FROM tests JOIN n ON k < tests WHERE nodes IS NOT NULL);
 CREATE TEMP VIEW each_rollout AS
     SELECT seq, problem, test, variant, replicate, seed, sha256, size, path, robustness, by_tolerance, ended,
-        '' AS batch, 1 AS kept
+        '' AS batch, 1 AS kept, parts
     FROM rollouts WHERE seeds IS NULL
     UNION ALL SELECT * FROM (:numbers
         SELECT seq, problem, test + k / replicates, variant, replicate + k % replicates, integer_at(seeds, k),
             lower(hex(substr(digests, 32 * k + 1, 32))), size, path, number_at(robustness_of, k),
             CASE WHEN by_tolerance_of IS NULL THEN 0 ELSE byte_at(by_tolerance_of, k) END, number_at(ended_of, k),
-            sha256, CASE WHEN kept_of IS NULL THEN 1 ELSE byte_at(kept_of, k) END
+            sha256, CASE WHEN kept_of IS NULL THEN 1 ELSE byte_at(kept_of, k) END, NULL
         FROM rollouts JOIN n ON k < places WHERE seeds IS NOT NULL
         AND k NOT IN (SELECT json_extract(value, '$[0]') FROM json_each(failures)));
 CREATE TEMP VIEW each_observation AS

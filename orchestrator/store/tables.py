@@ -77,6 +77,7 @@ rollouts = Table(
     Column("robustness", REAL),  # clipped; recomputed from the trajectory by `verify`
     Column("by_tolerance", Integer, nullable=False),  # 1 where the tolerance around time stamps could decide its sign
     Column("ended", REAL),  # s at which it ended before the horizon, if it did
+    Column("parts", Text),  # robustness of each part that a search has a model of, JSON; NULL where it has one model
     Column("block", Integer, nullable=False),  # first test of its block; its own test without one
     Column("replicates", Integer, nullable=False, server_default="1"),  # of each test in the batch; 1 without one
     Column("places", Integer, nullable=False, server_default="1"),  # rollouts of the batch; 1 without one
@@ -237,7 +238,7 @@ each_observation = _view("each_observation", "seq", "problem", "test", "y", "eac
 each_rollout = _view(
     "each_rollout",
     *("seq", "problem", "test", "variant", "replicate", "seed", "sha256", "size", "path", "robustness"),
-    *("by_tolerance", "ended", "batch", "kept"),
+    *("by_tolerance", "ended", "batch", "kept", "parts"),
 )
 
 FACTS = (campaign, tests, rollouts, discards, observations, bounds, extensions)

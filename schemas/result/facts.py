@@ -125,6 +125,8 @@ class RolloutFact:
     """Of a rollout of a batch: the sha256 of the file that it shares with the others; `sha256` is then its own."""
     kept: bool = True
     """Whether its samples are in the file, see the key `keep`."""
+    parts: tuple[float, ...] = ()
+    """The robustness of each part of the specification that a search has a model of; empty if it has one of all."""
 
     @property
     def violates(self) -> bool:

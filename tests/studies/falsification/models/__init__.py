@@ -1,1 +1,1 @@
-"""Models of the competition, written from their published equations; one module each, numpy and the standard library."""
+"""Models of the competition, written from their published equations; one module each, numpy and standard library."""

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from perfbound.orchestrator.mathematics.search.falsifier import Falsifier, Point, _chance_of_failure, _improvement
+from perfbound.orchestrator.mathematics.search.falsifier import Falsifier, Point
+from perfbound.orchestrator.mathematics.search.models import _deviations, _improvement
 from perfbound.orchestrator.mathematics.search.surrogate import Surrogate, _likelihood, fitted, prior_mode
 from perfbound.orchestrator.mathematics.search.warp import warped
 
@@ -179,7 +180,7 @@ def test_acquisition_functions_are_those_of_their_formulas() -> None:
     mean, sd = model.moments(asked)
     for level in (-0.5, 0.3):
         u = (level - mean) / sd
-        assert _chance_of_failure(model, asked, level) == pytest.approx(u)
+        assert _deviations(model, asked, level) == pytest.approx(u)
         with np.errstate(divide="ignore"):
             exact = np.log(sd * (u * norm.cdf(u) + norm.pdf(u)))
         near = u > -5  # beyond, the plain formula has lost its digits

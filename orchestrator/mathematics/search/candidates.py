@@ -1,0 +1,98 @@
+"""Points of the unit box among which a search chooses: everywhere, at the ends of ranges, and around its worst starts.
+
+The knots of an input over time are neighbours: an input that stays where it is for a while, or moves as a whole, is a
+shape that independent knots almost never have, and the one that fails a system whose state needs time.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..gp.kernels import Floats
+
+WIDE, SHAPED, NEAR, SNAPPED = 256, 192, 64, 24
+"""Points in the whole box, shaped ones, and of each worst start: around it, and with parameters at an end."""
+BEST, COPIES = 6, 24
+
+Flags = NDArray[np.bool_]
+
+
+class Inputs:
+    """Which parameters follow one another in time: for each parameter, whether it is a knot after another one."""
+
+    def __init__(self, dimension: int, signals: Sequence[Sequence[int]] = ()) -> None:
+        self.dimension = dimension
+        self._follows = np.zeros(dimension, dtype=np.bool_)
+        for knots in signals:
+            self._follows[list(knots[1:])] = True
+
+    @property
+    def groups(self) -> int:
+        """Number of signals and of parameters that are none."""
+        return self.dimension - int(self._follows.sum())
+
+    def held(self, rng: np.random.Generator, values: NDArray, probability: Floats) -> NDArray:
+        """Return the rows (n, p) in which a knot has the value of the one before with the probability of its row."""
+        if not self._follows.any():
+            return values
+        holds = (rng.random(values.shape) < probability) & self._follows
+        # Of each knot the latest one that holds no other.
+        source = np.maximum.accumulate(np.where(holds, 0, np.arange(self.dimension)), axis=1)
+        return np.take_along_axis(values, source, axis=1)
+
+
+def shaped(rng: np.random.Generator, n: int, inputs: Inputs) -> Floats:
+    """Return starts (n, p) of which some parameters are at an end, from one of them to a corner, and inputs stay."""
+    points = _at_ends(rng, rng.random((n, inputs.dimension)), rng.random((n, 1)))
+    return inputs.held(rng, points, _often(rng, n))
+
+
+def choices_among(rng: np.random.Generator, worst: Floats, inputs: Inputs) -> Floats:
+    """Return candidates (m, p), given the worst starts (k, p)."""
+    dimension = inputs.dimension
+    return np.vstack(
+        [
+            rng.random((WIDE, dimension)),
+            # Failures of control systems like the ends of ranges.
+            shaped(rng, SHAPED, inputs),
+            _around(rng, np.repeat(worst, NEAR, axis=0), inputs),
+            _snapped(rng, np.repeat(worst, SNAPPED, axis=0), inputs),
+        ]
+    )
+
+
+def nearby(rng: np.random.Generator, best: Floats, steps: Floats) -> Floats:
+    """Return the best candidates (k, p) and copies that differ by about `steps` (p,) in some of the parameters."""
+    copies = np.repeat(best, COPIES, axis=0)
+    moved = rng.random(copies.shape) < max(0.3, 2 / copies.shape[1])
+    return np.vstack([best, np.clip(copies + steps * rng.standard_normal(copies.shape) * moved, 0.0, 1.0)])
+
+
+def _often(rng: np.random.Generator, n: int) -> Floats:
+    """Return how often the knots of each row hold, (n, 1): of half of them never."""
+    return np.where(rng.random((n, 1)) < 0.5, 0.0, rng.random((n, 1)))
+
+
+def _at_ends(rng: np.random.Generator, points: Floats, probability: Floats) -> Floats:
+    """Return the points with each parameter at one of its ends with the probability of its row, shape (n, 1)."""
+    chosen, ends = rng.random(points.shape) < probability, (rng.random(points.shape) < 0.5).astype(np.float64)
+    return np.where(chosen, ends, points)
+
+
+def _snapped(rng: np.random.Generator, points: Floats, inputs: Inputs) -> Floats:
+    """Return the points with some of the parameters, or a while of an input, at an end."""
+    n, dimension = points.shape
+    often = _often(rng, n)
+    share = max(0.25, 1 / dimension)
+    chosen = inputs.held(rng, rng.random(points.shape) < share, often)
+    return np.where(chosen, inputs.held(rng, (rng.random(points.shape) < 0.5).astype(np.float64), often), points)
+
+
+def _around(rng: np.random.Generator, points: Floats, inputs: Inputs) -> Floats:
+    """Return the points moved by steps from a 200th to a third of a range, half of them in a few parameters only."""
+    n, dimension = points.shape
+    steps = 10.0 ** rng.uniform(-2.3, -0.5, (n, 1))
+    share = np.where(rng.random((n, 1)) < 0.5, 1.0, max(0.2, 1.5 / dimension))
+    moved = rng.standard_normal(points.shape) * (rng.random(points.shape) < share)
+    return np.clip(points + steps * inputs.held(rng, moved, _often(rng, n)), 0.0, 1.0)
