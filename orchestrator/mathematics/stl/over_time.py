@@ -169,7 +169,7 @@ class _Deciding:
         if int(deciding.sum()) * len(left) > MOST_PAIRS:
             return False
         if isinstance(tree, Since):
-            backwards = _deciding_until((left[::-1], right[::-1]), windows.mirrored(), deciding[::-1], value)
+            backwards = _deciding_until((left[::-1], right[::-1]), windows.mirrored, deciding[::-1], value)
             of_left, of_right = (each[::-1] for each in backwards)
         else:
             begin = windows.first if tree.reading == "paper" else None
