@@ -10,8 +10,8 @@ from functools import partial, reduce
 from itertools import product
 
 from ....schemas.values import Beyond
-from .predicates import HALF
 from .tree import (
+    HALF,
     Absolute,
     Always,
     And,

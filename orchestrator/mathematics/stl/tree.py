@@ -12,6 +12,10 @@ Reading = Literal["standard", "paper"]
 """Semantics of the left operand of `until`: from now on, or from the start of the interval on as in [ARA]."""
 
 
+HALF = 0.5
+"""The margin of an equality between whole numbers: half of the least distance of two that differ."""
+
+
 @dataclass(frozen=True, slots=True)
 class Interval:
     """Seconds from now, or of the past seconds ago; an end belongs to it unless it is open.
