@@ -287,16 +287,6 @@ def span(tree: Temporal) -> Span:
             return STEP_BACK
 
 
-def changed(tree: Edge) -> And:
-    """Return what `rise` and `fall` mean.
-
-    >>> changed(Rise(Comparison(">", Column("x"), Number(1.0)))).left
-    Previous(operand=Not(operand=Comparison(operator='>', left=Column(name='x'), right=Number(value=1.0))))
-    """
-    before, now = tree.operand, Not(tree.operand)
-    return And(Previous(now), before) if isinstance(tree, Rise) else And(Previous(before), now)
-
-
 def columns(tree: Node) -> frozenset[str]:
     """Return the names of the columns that `tree` reads.
 
