@@ -49,9 +49,12 @@ Indices = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Windows:
-    """One run of samples for each sample k: from `first[k]` up to, but without, `stop[k]`; empty if they are equal."""
+    """One run of samples for each sample k: from `first[k]` up to, but without, `stop[k]`; empty if they are equal.
+
+    What follows from them is derived once, for all rollouts on one grid.
+    """
 
     first: Indices  # (T,)
     stop: Indices  # (T,)
@@ -60,30 +63,38 @@ class Windows:
         """Whether these are the windows of `other`."""
         return np.array_equal(self.first, other.first) and np.array_equal(self.stop, other.stop)
 
+    @cached_property
     def from_now(self) -> "Windows":
-        """Return the windows that begin at their own sample and end where these end."""
+        """The windows that begin at their own sample and end where these end."""
         return Windows(np.where(self.empty, self.stop, np.arange(len(self.first))), self.stop)
 
+    @cached_property
     def up_to_first(self) -> "Windows":
-        """Return the windows from their own sample to the first sample of these, included."""
+        """The windows from their own sample to the first sample of these, included."""
         now = np.arange(len(self.first))
         return Windows(now, np.clip(self.first + 1, now + 1, len(now)))
 
+    @cached_property
     def mirrored(self) -> "Windows":
-        """Return the windows of the trajectory backwards in time."""
+        """The windows of the trajectory backwards in time."""
         return Windows(len(self.stop) - self.stop[::-1], len(self.first) - self.first[::-1])
 
-    @property
+    @cached_property
     def empty(self) -> Flags:
         """Which windows have no sample."""
         return self.first >= self.stop
 
-    @property
+    @cached_property
+    def any_empty(self) -> bool:
+        """Whether some window has no sample."""
+        return bool(self.empty.any())
+
+    @cached_property
     def to_end(self) -> bool:
         """Whether every window ends with the trajectory: then the first one does."""
         return bool(self.stop[0] == len(self.stop))
 
-    @property
+    @cached_property
     def from_start(self) -> bool:
         """Whether every window begins with the trajectory."""
         return not self.first.any()
@@ -224,11 +235,11 @@ class Grid:
         windows = self.windows(span(tree))
         match tree:
             case Until(reading="standard"):
-                return windows.from_now(), windows
+                return windows.from_now, windows
             case Until():
                 return windows, windows
             case Since():
-                return windows.mirrored().from_now().mirrored(), windows
+                return windows.mirrored.from_now.mirrored, windows
             case _:
                 return (windows,)
 

@@ -34,11 +34,11 @@ from .tree import (
     Implies,
     Not,
     Or,
+    Rise,
     Since,
     Span,
     Temporal,
     Until,
-    changed,
     columns,
     operands,
     span,
@@ -50,6 +50,8 @@ Flags = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 Attained = Literal["least", "greatest", "first"]
 
+MOST_PARTS = 1000
+"""Parts of a formula that are followed; changes of changes have more ways down than nodes."""
 MOST_PAIRS = 4_000_000
 """Pairs of samples that are compared for one `until`; of more its moment is not derived."""
 
@@ -145,11 +147,15 @@ class _Deciding:
         self._signals, self._grid = signals, grid
         self.samples: Flags = np.zeros(len(grid), dtype=np.bool_)
         self.columns: set[str] = set()
+        self._followed = 0
 
     def follow(self, tree: Formula, deciding: Flags) -> bool:
         """Add what decides `tree` at the samples `deciding`, where it has one value; return whether it was derived."""
         if not deciding.any():
             return True
+        self._followed += 1
+        if self._followed > MOST_PARTS:
+            return False
         if isinstance(tree, Comparison):
             self.samples |= deciding
             self.columns |= columns(tree)
@@ -158,18 +164,26 @@ class _Deciding:
         if isinstance(tree, Until | Since):
             return self._follow_until(tree, deciding, value)
         if isinstance(tree, Edge):
-            return self.follow(changed(tree), deciding)
+            return self._follow_edge(tree, deciding, value)
         if isinstance(tree, Temporal):
             deciding = self._grid.windows(span(tree)).cover(deciding)
         parts = zip(operands(tree), _signs(tree), strict=True)
         return all(self.follow(part, deciding & (sign * self._margins(part) == value)) for part, sign in parts)
+
+    def _follow_edge(self, tree: Edge, deciding: Flags, value: float) -> bool:
+        operand = self._margins(tree.operand) * (1.0 if isinstance(tree, Rise) else -1.0)
+        now = deciding & (operand == value)
+        before = self._grid.windows(STEP_BACK).cover(deciding) & (-operand == value)
+        if value == 0.0:  # one value, and one way down
+            return self.follow(tree.operand, now | before)
+        return self.follow(tree.operand, now) and self.follow(tree.operand, before)
 
     def _follow_until(self, tree: Until | Since, deciding: Flags, value: float) -> bool:
         left, right, windows = self._margins(tree.left), self._margins(tree.right), self._grid.windows(span(tree))
         if int(deciding.sum()) * len(left) > MOST_PAIRS:
             return False
         if isinstance(tree, Since):
-            backwards = _deciding_until((left[::-1], right[::-1]), windows.mirrored(), deciding[::-1], value)
+            backwards = _deciding_until((left[::-1], right[::-1]), windows.mirrored, deciding[::-1], value)
             of_left, of_right = (each[::-1] for each in backwards)
         else:
             begin = windows.first if tree.reading == "paper" else None

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from ....schemas.instants import apart, slack
 from .text import excerpt
 from .tree import (
+    HALF,
     Absolute,
     Arithmetic,
     Column,
@@ -55,8 +56,6 @@ _FUNCTIONS: Mapping[str, Callable[..., Values]] = {
     "log": np.log,
 }
 _EXTREMES: Mapping[str, Callable[[Values, Values], Values]] = {"max": np.maximum, "min": np.minimum}
-HALF = 0.5
-"""The margin of an equality between whole numbers: half of the least distance of two that differ."""
 
 
 def predicate_sup(tree: Formula, columns: Sequence[str], a: Floats, b: Floats) -> float:

@@ -10,8 +10,8 @@ from functools import partial, reduce
 from itertools import product
 
 from ....schemas.values import Beyond
-from .predicates import HALF
 from .tree import (
+    HALF,
     Absolute,
     Always,
     And,
@@ -20,6 +20,7 @@ from .tree import (
     Comparison,
     Eventually,
     Expression,
+    Fall,
     Formula,
     Function,
     Historically,
@@ -32,10 +33,10 @@ from .tree import (
     Once,
     Or,
     Previous,
+    Rise,
     Since,
     Temporal,
     Until,
-    changed,
 )
 
 Range = tuple[float, float]
@@ -101,8 +102,9 @@ def _over_time(tree: Temporal, beyond: Beyond) -> Range:
             first, second = reach(left, beyond), reach(right, beyond)
             empty = (ahead or isinstance(tree, Since)) and _may_be_empty(interval)
             return _or_none((min(first[0], second[0]), second[1]), -math.inf, empty)
-        case _:
-            return reach(changed(tree), beyond)
+        case Rise(operand) | Fall(operand):
+            low, high = reach(operand, beyond)
+            return -math.inf, min(-low, high)
 
 
 def _may_be_empty(interval: Interval) -> bool:

@@ -283,10 +283,10 @@ def _each(of: np.ufunc, left: tuple[Floats, ...], right: tuple[Floats, ...]) -> 
 
 def _until(tree: Until | Since, left: Floats, right: Floats, windows: Windows) -> Floats:
     if isinstance(tree, Since):
-        return _from_now(left[..., ::-1], right[..., ::-1], windows.mirrored())[..., ::-1]
+        return _from_now(left[..., ::-1], right[..., ::-1], windows.mirrored)[..., ::-1]
     return _from_now(left, right, windows) if tree.reading == "standard" else sliding.until(left, right, windows)
 
 
 def _from_now(left: Floats, right: Floats, windows: Windows) -> Floats:
     # min(left from now to i) = min(left from now to the window's first sample, left from there to i).
-    return np.minimum(sliding.minimum(left, windows.up_to_first()), sliding.until(left, right, windows))
+    return np.minimum(sliding.minimum(left, windows.up_to_first), sliding.until(left, right, windows))

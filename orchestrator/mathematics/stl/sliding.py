@@ -60,9 +60,8 @@ def _extremum(extremum: np.ufunc, values: Floats, windows: Windows) -> Floats:
 
 def _filled(found: Floats, windows: Windows, value: float) -> Floats:
     """Return `found` with the extremum of no value in the place of every empty window."""
-    empty = windows.empty
-    if empty.any():
-        found[..., empty] = value
+    if windows.any_empty:
+        found[..., windows.empty] = value
     return found
 
 

@@ -12,6 +12,10 @@ Reading = Literal["standard", "paper"]
 """Semantics of the left operand of `until`: from now on, or from the start of the interval on as in [ARA]."""
 
 
+HALF = 0.5
+"""The margin of an equality between whole numbers: half of the least distance of two that differ."""
+
+
 @dataclass(frozen=True, slots=True)
 class Interval:
     """Seconds from now, or of the past seconds ago; an end belongs to it unless it is open.
@@ -281,16 +285,6 @@ def span(tree: Temporal) -> Span:
             return Span(None)
         case Previous() | Rise() | Fall():
             return STEP_BACK
-
-
-def changed(tree: Edge) -> And:
-    """Return what `rise` and `fall` mean.
-
-    >>> changed(Rise(Comparison(">", Column("x"), Number(1.0)))).left
-    Previous(operand=Not(operand=Comparison(operator='>', left=Column(name='x'), right=Number(value=1.0))))
-    """
-    before, now = tree.operand, Not(tree.operand)
-    return And(Previous(now), before) if isinstance(tree, Rise) else And(Previous(before), now)
 
 
 def columns(tree: Node) -> frozenset[str]:

@@ -97,3 +97,41 @@ def test_an_unfinished_campaign_has_no_verdict(started: Processes, folder: Path)
     first.wait()
     assert shown.code == 1
     assert "no certificate yet" in shown.fault
+
+
+SHIFTING = """import numpy as np
+import perfbound as pb
+
+@pb.system(parameters={"x": pb.Parameter(0, 1)}, columns={"value": "m", "gear": "discrete"}, step=0.5)
+def shifting(x, *, horizon):
+    t = np.arange(round(horizon / 0.5) + 1) * 0.5
+    return np.column_stack([1.0 - 0.5 * x + 0.1 * t, np.where(t < 1, 1, 2)])
+"""
+OF_WINDOWS = """specification = "always eventually[0,9] value >= 0.2 and always (rise(gear == 2) implies gear != 1)"
+horizon = 2
+max_tests = 10
+rkhs_norm = 3
+noise_scale = 0
+alpha = 0.05
+spot_check = 20
+system.python = "shifting.py:shifting"
+space.x = [0, 1]
+"""
+
+
+def test_windows_that_end_with_the_rollout_are_named(tmp_path: Path) -> None:
+    (tmp_path / "shifting.py").write_text(SHIFTING)
+    (tmp_path / "refused.toml").write_text(OF_WINDOWS)
+    (tmp_path / "cut.toml").write_text('beyond = "truncate"\n' + OF_WINDOWS)
+    with processes(tmp_path / "logs") as found:
+        refused = found.run("perfbound", "run", tmp_path / "refused.toml", "--out", tmp_path / "refused")
+        assert refused.code != 0
+        assert "reaches to 11 s, but the trajectory ends at 2 s" in refused.err
+        ended = found.run("perfbound", "run", tmp_path / "cut.toml", "--out", tmp_path / "run")
+        assert ended.code == 0, ended.err
+        (claim,) = (line for line in ended.out.splitlines() if line.startswith("CLAIM"))
+        assert "windows truncated at the end of a rollout" in ended.out.replace("\n", " "), claim
+        verified = found.run("perfbound", "verify", tmp_path / "run")
+        assert verified.code == 0, verified.err
+        shown = found.run("perfbound", "show", tmp_path / "run", "--assumptions")
+        assert "what follows the end" in shown.out

@@ -11,6 +11,7 @@ import pytest
 
 import perfbound as pb
 from perfbound.library.study import Study, TrialRequest
+from perfbound.orchestrator.certificate.words.text import claim_words
 from perfbound.schemas.errors import CampaignError, DefinitionError, PerfboundError
 from perfbound.schemas.trajectory.trajectory import encode
 from tests.facts import facts, says
@@ -368,6 +369,31 @@ def test_a_verdict_by_rollouts_says_where_the_tolerance_could_decide(tmp_path: P
 def test_stamps_that_are_exact_are_not_counted(study: Study) -> None:
     finish(study)
     assert "borders" not in statuses(study)
+
+
+def test_windows_that_end_with_the_rollout_are_named_in_the_claim(tmp_path: Path) -> None:
+    gears = rig(columns={"y": "m", "gear": "discrete"})
+    formula = "always (rise(gear == 2) implies always[0,0.5) gear == 2) and always eventually[0,5] y <= 1"
+    with pytest.raises(PerfboundError, match="reaches to"):
+        pb.Campaign(gears, **KEYS | {"specification": formula}).ask_tell(tmp_path / "refused")
+    with pb.Campaign(gears, **KEYS | {"specification": formula, "beyond": "truncate"}).ask_tell(
+        tmp_path / "run"
+    ) as study:
+        for last in (2, 2, 1):
+            study.tell(asked(study), {"y": np.full(6, 0.5), "gear": np.array([1, 1, 1, 2, 2, last])})
+        status, detail = statuses(study)["truncated"]
+        assert (status, says(detail, "windows truncated end always true eventually false")) == ("assumed", True)
+        assert list(study.run.rollouts["robustness"]) == [0.5, 0.5, -0.1]  # by the clip
+        assert study.run.certificate.question["beyond"] == "truncate"
+        assert "truncated" in claim_words(study.run.certificate.claims[0])
+        assert study.run.verify().checks.good
+
+
+def test_a_column_of_whole_numbers_with_others_is_refused(tmp_path: Path) -> None:
+    campaign = pb.Campaign(rig(columns={"gear": "discrete"}), **KEYS | {"specification": "always gear == 1"})
+    fault = pytest.raises(PerfboundError, match="compares numbers at sample 2 that are not whole")
+    with campaign.ask_tell(tmp_path / "run") as study, fault:
+        study.tell(asked(study), {"gear": np.array([1, 1, 1.5, 1, 1, 1])})
 
 
 @pytest.mark.parametrize("after_end", ["hold", "fail"])

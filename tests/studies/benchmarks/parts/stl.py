@@ -32,6 +32,7 @@ from perfbound.orchestrator.mathematics.stl.tree import (
     Always,
     And,
     Comparison,
+    Edge,
     Eventually,
     Fall,
     Formula,
@@ -47,7 +48,6 @@ from perfbound.orchestrator.mathematics.stl.tree import (
     Since,
     Temporal,
     Until,
-    changed,
 )
 from tests.studies.benchmarks.report import Row
 
@@ -197,6 +197,12 @@ def _over_time(tree: Temporal) -> str:
             return f"(not (prev (not {translate(operand)})))"
         case Rise() | Fall():
             return translate(changed(tree))
+
+
+def changed(tree: Edge) -> And:
+    """Return what `rise` and `fall` mean, in other operators."""
+    before, now = tree.operand, Not(tree.operand)
+    return And(Previous(now), before) if isinstance(tree, Rise) else And(Previous(before), now)
 
 
 def _past(interval: Interval) -> str:

@@ -21,7 +21,21 @@ Floats = NDArray[np.float64]
 
 NAMES = ("t", "x", "y")
 STEPS = (0.1, 0.25, 1 / 120)
-SUMS = ("x", "y", "abs(x)", "-y", "x - y", "x * y + 1", "x^2", "abs(y)^0.3", "abs(x)^y", "2^x", "t", "x - t / 2", "t^2")
+SUMS: tuple[str, ...] = (
+    "x",
+    "y",
+    "abs(x)",
+    "-y",
+    "x - y",
+    "x * y + 1",
+    "x^2",
+    "abs(y)^0.3",
+    "abs(x)^y",
+    "2^x",
+    "t",
+    "x - t / 2",
+    "t^2",
+)
 SUMS += ("max(x, y, 0.5)", "min(x, t)", "sin(x) + cos(y)", "exp(x - 3)", "sqrt(abs(y))", "tan(x) * log(x^2 + 1)")
 NOT_ALWAYS_FINITE = ("1 / x", "y^0.5", "x^y", "x / t", "x^t", "t^y", "1e308 * x * 10", "log(x)", "sqrt(y)", "exp(x)")
 UNITS = {"t": "s", "x": "discrete", "y": "discrete"}

@@ -3,6 +3,7 @@
 import math
 import random
 import re
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -312,10 +313,16 @@ MIRRORED: dict[type, type] = {stl.Always: stl.Historically, stl.Eventually: stl.
 MIRRORED |= {stl.Next: stl.Previous} | {past: ahead for ahead, past in MIRRORED.items()} | {stl.Previous: stl.Next}
 
 
+def changed(tree: stl.Edge) -> stl.And:
+    """What `rise` and `fall` mean, in other operators."""
+    before, now = tree.operand, stl.Not(tree.operand)
+    return stl.And(stl.Previous(now), before) if isinstance(tree, stl.Rise) else stl.And(stl.Previous(before), now)
+
+
 def mirrored(tree: Any) -> Any:
     """Return a formula with every operator over time turned around."""
     if isinstance(tree, stl.Edge):
-        tree = stl.changed(tree)
+        tree = changed(tree)
     if isinstance(tree, stl.Comparison) or not hasattr(tree, "__dataclass_fields__") or isinstance(tree, stl.Interval):
         return tree
     fields = {name: mirrored(getattr(tree, name)) for name in tree.__dataclass_fields__ if name != "reading"}
@@ -344,7 +351,7 @@ def test_dualities(seed: int) -> None:
     assert of(stl.Historically(f, interval)) == of(stl.Not(stl.Once(stl.Not(f), interval)))
     assert of(stl.Always(f, interval)) == of(stl.Not(stl.Eventually(stl.Not(f), interval)))
     assert np.clip(of(stl.Once(f, interval)), -1e9, 1e9).tolist() == np.clip(since, -1e9, 1e9).tolist()
-    assert of(stl.Fall(f)) == of(stl.Rise(stl.Not(f))) == of(stl.changed(stl.Fall(f)))
+    assert of(stl.Fall(f)) == of(stl.Rise(stl.Not(f))) == of(changed(stl.Fall(f)))
     assert of(stl.Rise(f))[0] == of(stl.Fall(f))[0] == -math.inf
 
 
@@ -446,6 +453,16 @@ class TestSteps:
         assert of("eventually rise(x >= 1)", 3, 0, 2, 2) == 1
         assert of("eventually fall(x >= 1)", 0, 3, 0, 2) == 1
         assert of("always (rise(x >= 1) implies x >= 2)", 3, 0, 1.5, 5) == -0.5
+
+    @pytest.mark.parametrize("x", [(0.0,) * 20, (1.0, -1.0) * 10, tuple(np.random.default_rng(0).normal(size=20))])
+    def test_changes_of_changes_are_followed_in_moderate_time(self, x: tuple[float, ...]) -> None:
+        tree = parse_formula("eventually " + "rise(" * 19 + "x > 0" + ")" * 19)
+        samples = np.column_stack([np.arange(20.0), x])
+        begun = time.process_time()
+        assert evaluated(tree, ("t", "x"), samples).robustness >= 0
+        assert reach(tree) == (-math.inf, math.inf)
+        worst_moment(tree, ("t", "x"), samples)
+        assert time.process_time() - begun < 5.0
 
 
 class TestDiscrete:
