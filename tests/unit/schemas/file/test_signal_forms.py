@@ -204,7 +204,7 @@ def _without_empty(table: Any) -> Any:
         (TIMES.replace("low", "knots = 3, low"), "space.u.knots: 3 times 4"),
         (TIMES.replace("low", "until = 3, low"), "space.u.until: times"),
         (TIMES.replace("[0, 2, 5, 20]", "[]"), "space.u.times: 1 1,000"),
-        (TIMES.replace("[0, 2, 5, 20]", "[0]").replace("constant", "linear"), "space.u.times: 'linear' 2"),
+        (TIMES.replace("[0, 2, 5, 20]", "[0]").replace("constant", "linear"), "space.u.times: [0.0] 'linear' 2"),
         ("u = { times = [0, 1], low = 0, high = 1 }", 'space.u.times: "linear"'),
         (RATE.replace("linear", "constant"), "space.u.rate: 'constant' slope 'linear'"),
         (RATE.replace("0.05", "0"), "space.u.rate: 0 > 0"),
