@@ -269,7 +269,7 @@ class SystemSpec(Model, metaclass=Written):
         if not all(each.knots_alike for each in found.values()):
             update["undivided"] = self.parameters
         if recorded := [each.name for each in found.values() if each.recorded]:
-            update["columns"] = self._with_signals(recorded)
+            update["columns"] = _columns_with(self, recorded)
         if changed != self.disturbances:
             update |= {"disturbances": changed, "own_disturbances": self.disturbances}
         if added and not self.as_parameters:
@@ -288,16 +288,9 @@ class SystemSpec(Model, metaclass=Written):
             return self.as_simulated.declared
         if not (self.signals or self.own_disturbances):
             return self
-        names = {name: shape.name for shape in self.signals for name in shape.names}
-        parameters: dict[str, Parameter] = {}
-        for each in () if self.undivided else self.parameters:
-            # All knots of a signal are alike.
-            if (name := names.get(each.name, each.name)) not in parameters:
-                changed = {"name": name, "signal": True} if each.name in names else {}
-                parameters[name] = each.model_copy(update=changed)
         return self.model_copy(
             update={
-                "parameters": self.undivided or tuple(parameters.values()),
+                "parameters": self.undivided or _undivided(self),
                 "columns": tuple(column for column in self.columns if column.name not in self.recorded),
                 "signals": (),
                 "undivided": (),
@@ -338,12 +331,6 @@ class SystemSpec(Model, metaclass=Written):
     def explaining(self) -> tuple[Disturbance, ...]:
         """The disturbances of a rollout whose values are known: those that are drawn, then those that it reports."""
         return (*self.drawn, *self.reported)
-
-    def _with_signals(self, recorded: Sequence[str]) -> tuple[Column, ...]:
-        units = {each.name: each.unit for each in self.parameters}
-        own = len(self.own_columns)
-        added = (Column(name=name, unit=units[name]) for name in recorded)
-        return (*self.columns[:own], *added, *self.columns[own:])
 
     @property
     def recorded(self) -> tuple[str, ...]:
@@ -437,6 +424,23 @@ def differences(spec: SystemSpec, here: SystemSpec) -> list[str]:
         if key not in seen and getattr(spec.declared, key) != getattr(here.declared, key)
     ]
     return code + versions + parameters + others
+
+
+def _columns_with(spec: SystemSpec, recorded: Sequence[str]) -> tuple[Column, ...]:
+    """Return the columns of a system with those of input signals, behind its own."""
+    units, own = {each.name: each.unit for each in spec.parameters}, len(spec.own_columns)
+    added = (Column(name=name, unit=units[name]) for name in recorded)
+    return (*spec.columns[:own], *added, *spec.columns[own:])
+
+
+def _undivided(spec: SystemSpec) -> tuple[Parameter, ...]:
+    """Return the parameters of a system whose signals have knots alone: all knots of one are alike."""
+    names = {name: shape.name for shape in spec.signals for name in shape.names}
+    found: dict[str, Parameter] = {}
+    for each in spec.parameters:
+        if (name := names.get(each.name, each.name)) not in found:
+            found[name] = each.model_copy(update={"name": name, "signal": True}) if each.name in names else each
+    return tuple(found.values())
 
 
 def _range_words(parameter: Parameter | None) -> str:

@@ -96,7 +96,7 @@ class Range(Distributed):
         if self.signal in PARTS:
             _check_parts(self)
         elif self.profile is not None:
-            _check_times("profile", [t for t, _ in self.profile], "start of the recording at t = 0")
+            _check_times("profile", [t for t, _ in self.profile], "first row at 0")
         elif self.signal is not None:
             _check_knots(self, self.signal)
         if self.has_extremes:
@@ -238,7 +238,7 @@ def _check_knots(given: Range, signal: SignalKind) -> None:
         return
     _check_times("times", given.times, "first one at 0")
     if len(given.times) < least:
-        raise ValueError(f"times: signal {signal!r} needs at least {least}")
+        raise ValueError(f"times: {list(given.times)} is not allowed with {signal!r}; give at least {least}")
     if given.knots not in (None, len(given.times)):
         raise ValueError(f"knots: {given.knots} is not allowed: times has {len(given.times)}; remove this key")
 
@@ -262,7 +262,9 @@ def _check_parts(given: Range) -> None:
             raise ValueError(f"{key}: is one number of a rollout; remove signal from it")
         unit = given.unit if part.unit is None else part.unit
         if isinstance(value, Range) and value.unit not in ("", unit):
-            raise ValueError(f"{key}.unit: {value.unit!r} is not allowed: it is in {unit or 'the unit of the signal'}")
+            raise ValueError(
+                f"{key}.unit: {value.unit!r} is not allowed: it is in {unit or 'the unit of the signal'}; remove it"
+            )
         if part.least is not None and _ends(value)[0] < part.least:
             raise ValueError(f"{key}: {_ends(value)[0]:g} is not allowed: allowed are numbers >= {part.least:g}")
 

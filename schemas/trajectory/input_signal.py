@@ -28,6 +28,8 @@ Floats = NDArray[np.float64]
 EARLY = 1e-9
 """Of the horizon: a sample that rounding puts so little before a knot of `constant` belongs to the knot."""
 
+SINE_DIGITS = 10
+
 
 class Wave(NamedTuple):
     """The numbers of a sine: amplitude and offset in the unit of the signal, frequency in Hz, phase in rad."""
@@ -96,7 +98,9 @@ class InputSignal:
     def _through(self, at: Floats) -> Floats:
         if self.wave is not None:
             amplitude, frequency, phase, offset = self.wave
-            return np.asarray(offset + amplitude * np.sin(2.0 * math.pi * frequency * at + phase), dtype=np.float64)
+            # Its last bits depend on the processor, and the trajectories of two hosts are compared.
+            sine = np.round(np.sin(2.0 * math.pi * frequency * at + phase), SINE_DIGITS)
+            return np.asarray(offset + amplitude * sine, dtype=np.float64)
         if self.kind == "pchip":
             return np.asarray(self._pchip(np.minimum(at, self.times[-1])), dtype=np.float64)
         if self.kind == "linear":

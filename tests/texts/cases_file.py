@@ -30,7 +30,7 @@ from tests.unit.campaign import (
     test_starts,
 )
 from tests.unit.prepare.plan import test_sizes
-from tests.unit.schemas.file import test_reader, test_signal_spaces, test_space
+from tests.unit.schemas.file import test_reader, test_signal_forms, test_signal_spaces, test_space
 
 
 def campaign_file(_folder: Path) -> Cases:
@@ -125,6 +125,7 @@ def _spaces() -> Cases:
     }.items():
         yield f"space: {name} where nothing is drawn", space.fault(text)
     yield from refusals("input signal", test_signal_spaces.test_what_is_refused, test_signal_spaces.fault_of_space)
+    yield from refusals("input signal", test_signal_forms.test_what_is_refused, test_signal_forms.parsed)
     without = test_signal_spaces.HEAD.replace("LENGTH", "1.0").replace("horizon = 4\n", "") + test_signal_spaces.SIGNAL
     yield "input signal: no horizon", refusal(lambda: parse_campaign(f"{without}gap = [0, 9]".encode(), "c.toml"))
 

@@ -134,6 +134,20 @@ def test_of_many_tests_some_lines_are_drawn_and_the_page_says_so(browser: Browse
         assert watch.page.evaluate("mapModels.get(document.getElementById('map-0')).dots.length") == tests
 
 
+def test_the_knots_of_a_long_input_are_read_as_one(browser: Browser, tmp_path: Path) -> None:
+    report = example_reports.many(200)
+    axes = tuple(replace(axis, signal="push" if k >= 5 else "") for k, axis in enumerate(report.axes))
+    with opened(browser, tmp_path, replace(report, axes=axes)) as watch:
+        text = watch.page.locator("body").inner_text()
+        assert "push over time (195 parameters)" in text
+        assert "parameter_of_a_long_name_0100" not in text
+        assert watch.page.locator("#problem-0 select[data-axis='0'] option").count() == 5
+        lines = watch.page.evaluate(
+            "mapModels.get(document.getElementById('parallel-0')).dots.map((d) => d.path.length)"
+        )
+        assert set(lines) == {5}
+
+
 def test_drawn_starts_have_the_colours_of_their_robustness(browser: Browser, tmp_path: Path) -> None:
     """Half of the tests have either half of the colours; the least robustness is the strongest."""
     colours = """(name) => {

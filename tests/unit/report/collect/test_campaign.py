@@ -21,6 +21,7 @@ from perfbound.orchestrator.report.collect import band as surfaces
 from perfbound.orchestrator.report.collect.campaign import Collector
 from perfbound.orchestrator.report.collect.workers import MOST_FAILED, WorkerStatistics
 from perfbound.orchestrator.report.data.page import Problem, ReportData, to_json
+from perfbound.orchestrator.report.data.ranges import long_inputs
 from perfbound.orchestrator.report.rollout import curves, of_tests
 from perfbound.orchestrator.run.page.page_feed import LiveState
 from perfbound.orchestrator.store import facts as recorded_facts
@@ -659,6 +660,24 @@ def test_the_inputs_of_a_start_are_curves_with_their_steps() -> None:
     assert steps.t[rise + 1] - steps.t[rise] < 1e-5 * found.horizon, "drawn as a vertical line"
     assert (steps.values[0], steps.values[-1]) == (0.25, 0.75)
     assert list(curves.of_signals(Header.new(found, system, {}), (1.0, 1.0))) == []
+
+
+def test_a_long_input_is_a_curve_without_marks_and_a_sine_has_its_periods() -> None:
+    found, system = config("segway-paper"), load_system("segway").spec
+    space = {
+        "x": Range(low=0.0, high=1.0, signal="linear", knots=101),
+        "y": Range(low=-2.0, high=2.0, signal="sine", amplitude=Range(low=0.0, high=2.0), frequency=10 / found.horizon),
+    }
+    over_time = tuple(each.model_copy(update={"signal": True}) for each in system.parameters)
+    about = Header.new(
+        found.model_copy(update={"space": space}), system.model_copy(update={"parameters": over_time}), {}
+    )
+    long, sine = curves.of_signals(about, (*np.linspace(0.0, 1.0, 101).tolist(), 2.0))
+    assert (long.knots, sine.knots) == ((), ())
+    assert np.interp(found.horizon / 3, long.t, long.values) == pytest.approx(1 / 3)
+    assert (sine.low, sine.high) == (-2.0, 2.0)
+    assert np.count_nonzero(np.diff(np.sign(sine.values))) >= 19
+    assert long_inputs(about) == {f"x_{k}": "x" for k in range(101)}
 
 
 def test_listed_starts_have_points_and_no_shape(tmp_path: Path, no_disk: None) -> None:

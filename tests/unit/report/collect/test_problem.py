@@ -155,6 +155,12 @@ def test_few_tests_say_nothing_about_importance() -> None:
     assert found.parameters[0].axis == 2
     assert found.parameters[0].total is None
     assert all(each.first <= 2 * found.chance for each in found.parameters[1:])
+    among = importance.of_drawn_tests(x, y, read=[0, 2])
+    assert among is not None
+    assert [(each.axis, each.first) for each in among.parameters] == [
+        (each.axis, each.first) for each in found.parameters if each.axis != 1
+    ]
+    assert importance.of_drawn_tests(x, y, read=[2]) is None
 
 
 def test_a_histogram_tells_its_variants_and_the_clip() -> None:

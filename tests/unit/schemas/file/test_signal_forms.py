@@ -2,8 +2,10 @@
 
 import itertools
 import json
+import tomllib
 from typing import Any
 
+import jsonschema
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -11,6 +13,7 @@ from hypothesis import strategies as st
 from perfbound.schemas.errors import CampaignError
 from perfbound.schemas.file.against_system import as_in_campaign, check_against
 from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.file.defaults import file_schema
 from perfbound.schemas.file.parameters import parameter_ranges, signal_shapes
 from perfbound.schemas.file.reader import parse_campaign
 from perfbound.schemas.file.toml_text import toml_file
@@ -204,7 +207,7 @@ def _without_empty(table: Any) -> Any:
         (TIMES.replace("low", "knots = 3, low"), "space.u.knots: 3 times 4"),
         (TIMES.replace("low", "until = 3, low"), "space.u.until: times"),
         (TIMES.replace("[0, 2, 5, 20]", "[]"), "space.u.times: 1 1,000"),
-        (TIMES.replace("[0, 2, 5, 20]", "[0]").replace("constant", "linear"), "space.u.times: 'linear' 2"),
+        (TIMES.replace("[0, 2, 5, 20]", "[0]").replace("constant", "linear"), "space.u.times: [0.0] 'linear' 2"),
         ("u = { times = [0, 1], low = 0, high = 1 }", 'space.u.times: "linear"'),
         (RATE.replace("linear", "constant"), "space.u.rate: 'constant' slope 'linear'"),
         (RATE.replace("0.05", "0"), "space.u.rate: 0 > 0"),
@@ -267,6 +270,17 @@ def test_a_column_of_the_system_stays_its_own() -> None:
 def test_a_signal_that_nothing_names_is_no_column() -> None:
     config = parse_campaign(f"{HEAD.replace('v - u', 'v')}{SINE}\nx = [0, 1]".encode(), "c.toml")
     assert as_in_campaign(SPEC, config).columns == SPEC.columns
+
+
+@pytest.mark.rest
+def test_editors_know_the_forms() -> None:
+    schema = file_schema()
+    for space in FORMS:
+        table = tomllib.loads(HEAD + space)
+        jsonschema.validate(table, schema)
+        table["space"]["u"]["amplitudes"] = 1
+        with pytest.raises(jsonschema.ValidationError):
+            jsonschema.validate(table, schema)
 
 
 def test_the_identity_of_other_campaigns_has_none_of_the_keys() -> None:

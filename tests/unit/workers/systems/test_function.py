@@ -120,6 +120,25 @@ def test_an_input_over_time_is_a_function_of_it() -> None:
     assert columns.column("b").tolist() == [0.0, 0.25, 0.5, 0.75, 1.0]
 
 
+def test_a_recorded_input_is_a_column_behind_those_of_the_system() -> None:
+    def early(u: pb.InputSignal, x: float, *, horizon: float) -> dict[str, Any]:
+        t = np.linspace(0.0, horizon, 5)[:3]
+        return {"t": t, "a": u(t), "b": u(t) * x}
+
+    found = made(early, parameters=OVER_TIME, after_end="hold")
+    shape = SignalShape(
+        name="u", kind="sine", knots=0, parts={"amplitude": (0.0, 0.5), "frequency": 0.5, "offset": 0.5}
+    )
+    shape = shape.model_copy(update={"recorded": True, "parts": {**shape.parts, "phase": 0.0}})
+    template = RequestTemplate.of(found.spec.spread([shape]), {}, horizon=2.0, visual=False)
+    request = template.request(RolloutId("robustness", 0, "nominal", 0), (0.5, 4.0), 7)
+    trajectory = read_mcap(run_request_on(found, request, lambda _: None)).trajectory
+    assert trajectory.columns == ("t", "a", "b", "u", "ended") == tuple(c.name for c in template.spec.columns)
+    # The state is held from 1 s on, and the input goes on.
+    assert trajectory.column("u").tolist() == pytest.approx([0.5, 1.0, 0.5, 0.0, 0.5])
+    assert trajectory.column("a").tolist() == pytest.approx([0.5, 1.0, 0.5, 0.5, 0.5])
+
+
 @pytest.mark.parametrize(
     ("x", "reason"),
     [
