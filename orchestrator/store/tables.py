@@ -77,7 +77,6 @@ rollouts = Table(
     Column("robustness", REAL),  # clipped; recomputed from the trajectory by `verify`
     Column("by_tolerance", Integer, nullable=False),  # 1 where the tolerance around time stamps could decide its sign
     Column("ended", REAL),  # s at which it ended before the horizon, if it did
-    Column("parts", Text),  # robustness of each part that a search has a model of, JSON; NULL where it has one model
     Column("block", Integer, nullable=False),  # first test of its block; its own test without one
     Column("replicates", Integer, nullable=False, server_default="1"),  # of each test in the batch; 1 without one
     Column("places", Integer, nullable=False, server_default="1"),  # rollouts of the batch; 1 without one
@@ -90,6 +89,7 @@ rollouts = Table(
     Column("ended_of", LargeBinary),  # float64, NaN where it did not end
     Column("kept_of", LargeBinary),  # a byte each: whether the file has its samples; NULL where it has all of them
     Column("failures", Text),  # place in the batch and reason of each failed rollout, JSON
+    Column("parts", Text),  # robustness of each part that a search has a model of, JSON; NULL where it has one model
     # The retry of a rollout that failed in a batch is a batch of its own, perhaps with the same first rollout.
     UniqueConstraint("problem", "test", "variant", "replicate", "places"),
     ForeignKeyConstraint(["problem", "block"], ["tests.problem", "tests.test"]),

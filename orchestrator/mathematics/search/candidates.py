@@ -7,15 +7,12 @@ shape that independent knots almost never have, and the one that fails a system 
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..gp.kernels import Floats
 
 WIDE, SHAPED, NEAR, SNAPPED = 256, 192, 64, 24
 """Points in the whole box, shaped ones, and of each worst start: around it, and with parameters at an end."""
 BEST, COPIES = 6, 24
-
-Flags = NDArray[np.bool_]
 
 
 class Inputs:
@@ -27,12 +24,7 @@ class Inputs:
         for knots in signals:
             self._follows[list(knots[1:])] = True
 
-    @property
-    def groups(self) -> int:
-        """Number of signals and of parameters that are none."""
-        return self.dimension - int(self._follows.sum())
-
-    def held(self, rng: np.random.Generator, values: NDArray, probability: Floats) -> NDArray:
+    def held(self, rng: np.random.Generator, values: Floats, probability: Floats) -> Floats:
         """Return the rows (n, p) in which a knot has the value of the one before with the probability of its row."""
         if not self._follows.any():
             return values
@@ -85,7 +77,7 @@ def _snapped(rng: np.random.Generator, points: Floats, inputs: Inputs) -> Floats
     n, dimension = points.shape
     often = _often(rng, n)
     share = max(0.25, 1 / dimension)
-    chosen = inputs.held(rng, rng.random(points.shape) < share, often)
+    chosen = inputs.held(rng, (rng.random(points.shape) < share).astype(np.float64), often) > 0
     return np.where(chosen, inputs.held(rng, (rng.random(points.shape) < 0.5).astype(np.float64), often), points)
 
 
@@ -95,4 +87,5 @@ def _around(rng: np.random.Generator, points: Floats, inputs: Inputs) -> Floats:
     steps = 10.0 ** rng.uniform(-2.3, -0.5, (n, 1))
     share = np.where(rng.random((n, 1)) < 0.5, 1.0, max(0.2, 1.5 / dimension))
     moved = rng.standard_normal(points.shape) * (rng.random(points.shape) < share)
-    return np.clip(points + steps * inputs.held(rng, moved, _often(rng, n)), 0.0, 1.0)
+    moved = inputs.held(rng, moved, _often(rng, n))
+    return np.asarray(np.clip(points + steps * moved, 0.0, 1.0), dtype=np.float64)

@@ -35,6 +35,8 @@ BLOCK = 1024
 """Points of a Sobol sequence; the next ones are of a sequence of its own."""
 ROUNDS = (0.1, 0.03, 0.01)
 """Steps around the best candidates, in length scales."""
+SHAPES = 64
+"""Starts of which the first admitted one is taken."""
 PATIENCE = 10
 """Tests without an improvement after which one of four is tried elsewhere: a model can be stuck at a wrong place."""
 MODEL, SOBOL, FIRST, FLAT, SHAPED = range(5)
@@ -115,7 +117,7 @@ class Falsifier:
         return bool(other >= own - TIE * max(1.0, abs(own)))
 
     def observe(self, point: Point, value: float, parts: Sequence[float] = ()) -> None:
-        """Add the robustness of a test, and that of each part of the goal if it has several; on an error nothing changes.
+        """Add the robustness of a test, and that of each part of a goal with several; on an error nothing changes.
 
         Raises:
             ValueError: the point has another number of parameters or is outside the box, or `value` is not finite.
@@ -148,7 +150,7 @@ class Falsifier:
 
     def _shaped(self, test: int) -> Floats:
         rng = np.random.default_rng([self._seed, SHAPED, test])
-        return np.asarray(shaped(rng, 1, self._inputs)[0], dtype=np.float64)
+        return np.asarray(self._inside(shaped(rng, SHAPES, self._inputs))[0], dtype=np.float64)
 
     def _by_model(self, test: int, pending: list[Floats]) -> Floats:
         score, lengths = self._score(test, pending)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from ..gp.kernels import Floats
 from .goal import Goal, log_failure, margins
@@ -102,7 +103,7 @@ class Models:
         return [*each, margins(self._goal, values / spread)]
 
 
-def _chosen(values: Floats, largest: int) -> tuple[Floats, Floats, float]:
+def _chosen(values: Floats, largest: int) -> tuple[NDArray[np.intp], Floats, float]:
     """Return which of the values are kept, at most `largest`, their warped values and the level of 0 on that scale."""
     z, level = warped(values)
     if len(z) <= largest:

@@ -108,7 +108,8 @@ def test_what_contradicts_a_search_is_refused(problem: dict[str, Any], changes: 
     [
         ({"method": "sample"}, {}, False),
         ({"method": "sample"}, {"window": 5}, False),
-        (RIGOROUS, {"resolution": 41}, False),
+        # The cone has a kink, which tests close to it show to be steeper than a smaller norm allows.
+        (RIGOROUS | {"rkhs_norm": 40.0}, {"resolution": 41}, False),
         (NOISY, {"resolution": 41, "replicates": 2}, True),
         ({"method": "scenario", "alpha": 0.01}, {"space": SCENARIOS}, True),
     ],
@@ -215,7 +216,9 @@ def test_tests_of_another_machine_are_followed_and_those_of_nobody_are_not(
     def rounded(search: Falsifier, pending: Sequence[tuple[float, ...]] = ()) -> tuple[float, ...]:
         point = propose(search, pending)
         test = search.observations + len(pending)
-        return point if search.is_random(test) or not test else tuple(min(value + 1e-6, 1.0) for value in point)
+        if search._without_model(test) is not None:
+            return point
+        return tuple(min(value + 1e-6, 1.0) for value in point)
 
     def chosen(search: Falsifier, pending: Sequence[tuple[float, ...]] = ()) -> tuple[float, ...]:
         test = search.observations + len(pending)
