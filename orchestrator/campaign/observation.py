@@ -111,10 +111,16 @@ class Observer:
             self.robustness(trajectory),
             by_tolerance=any(self._evaluated(trajectory, each).by_tolerance for each in formulas),
             ended=None if self._after_end is None else end_of(trajectory),
-            parts=tuple(
-                objectives.clipped(self._evaluated(trajectory, each).robustness, LIMITS) for each in self._sought
-            ),
+            parts=tuple(self._of_part(trajectory, each) for each in self._sought),
         )
+
+    def _of_part(self, trajectory: Trajectory, part: Formula) -> float:
+        try:
+            found = self._evaluated(trajectory, part).robustness
+        except ValueError:
+            # What decides nothing alone, as a window that is empty, may be decided by the other parts.
+            found = self._evaluated(trajectory, self._formula).robustness
+        return objectives.clipped(found, LIMITS)
 
     def scores_of(self, batch: Batch) -> Scores:
         """Return the scores of a batch: of each rollout those that it has alone."""

@@ -115,7 +115,7 @@ class SearchSource:
         seed = int(uniform(header, f"{plan.name}.search", range(1), 1)[0, 0] * 2**53)
         # Ends of a range that are equal: a parameter that never changes, in a box that has to have an inside.
         high = np.where(high > low, high, low + 1.0)
-        formula = None if header.config.formula is None else parse_formula(header.config.formula)
+        formula = None if header.config.formula is None else parse_formula(header.config.formula, header.spec.units)
         goal, parts = goal_of_search(header.config, formula)
         self._search = Falsifier(
             low.tolist(),

@@ -17,6 +17,7 @@ from perfbound.orchestrator.campaign.software import software
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.issue import issue, manifest
 from perfbound.orchestrator.certificate.regions import campaign_regions
+from perfbound.orchestrator.certificate.verify.checks import Check
 from perfbound.orchestrator.certificate.verify.run import verify_certificate
 from perfbound.orchestrator.run.service import Interrupted, RunStatus, Service
 from perfbound.orchestrator.store import read
@@ -199,7 +200,11 @@ def statuses(text: str | None) -> dict[str, str]:
     return {each["id"]: each["status"] for each in predicate(text)["assumptions"]}
 
 
+def checks(directory: Path) -> tuple[Check, ...]:
+    """Return the checks of a finished campaign."""
+    return verify_certificate(directory, key=None, again=0, report=lambda *_: None).checks.lines()
+
+
 def verified(directory: Path) -> list[str]:
     """Return the checks of a finished campaign that fail."""
-    checks = verify_certificate(directory, key=None, again=0, report=lambda *_: None).checks
-    return [line.name for line in checks.lines() if line.status == "failed"]
+    return [line.name for line in checks(directory) if line.status == "failed"]

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..gp.kernels import Floats
-from ..stl.tree import Always, And, Eventually, Formula, Implies, Not, Or
+from ..stl.tree import Always, And, Eventually, Formula, Historically, Implies, Not, Once, Or
 
 MOST = 8
 """Parts with models of their own; a formula with more is one part."""
@@ -73,9 +73,10 @@ def _split(tree: Formula, found: list[Formula], *, fails: bool) -> Goal:
             kind = Every if isinstance(tree, And) != fails else Some
             return kind(tuple(each for side in sides for each in (side.of if isinstance(side, kind) else (side,))))
         # Of every moment a conjunction is one of conjuncts; the other two pairs have no such rule.
-        case Always(And(left, right)) | Eventually(Or(left, right)):
-            joined = And if isinstance(tree, Always) else Or
-            return _split(joined(replace(tree, operand=left), replace(tree, operand=right)), found, fails=fails)
+        case Always(And(left, right)) | Historically(And(left, right)):
+            return _split(And(replace(tree, operand=left), replace(tree, operand=right)), found, fails=fails)
+        case Eventually(Or(left, right)) | Once(Or(left, right)):
+            return _split(Or(replace(tree, operand=left), replace(tree, operand=right)), found, fails=fails)
     part: Formula = Not(tree) if fails else tree
     if part not in found:
         found.append(part)

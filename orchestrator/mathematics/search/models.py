@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..gp.kernels import Floats
 from .goal import Goal, log_failure, margins
 from .surrogate import Surrogate, fitted, prior_mode
-from .warp import warped
+from .warp import spread_below, warped
 
 LARGEST = 200
 """Tests that a model contains; of more, the worst half and an even choice of the others."""
@@ -99,8 +99,7 @@ class Models:
         each = list(values.T)
         if self.parts == 1:
             return each
-        spread = np.maximum(np.ptp(values, axis=0), 1e-300)
-        return [*each, margins(self._goal, values / spread)]
+        return [*each, margins(self._goal, values / [spread_below(part) for part in each])]
 
 
 def _chosen(values: Floats, largest: int) -> tuple[NDArray[np.intp], Floats, float]:

@@ -23,6 +23,17 @@ LEAST = 1e-12
 """Least spread, relative to the largest value: below it all values count as the same."""
 
 
+def spread_below(values: Floats) -> float:
+    """Return s of the values (n,), which is above 0.
+
+    >>> spread_below(np.array([1.0, 2.0, 1e6]))
+    1.0
+    """
+    middle = float(np.median(values))
+    # Where at least half of the values are the least one, there is no spread below the median.
+    return max(middle - float(np.min(values)), 1e-3 * abs(middle), LEAST)
+
+
 def warped(values: Floats) -> tuple[Floats, float]:
     """Return z (n,) and t for the finite values (n,) of at least one test.
 
@@ -34,8 +45,7 @@ def warped(values: Floats) -> tuple[Floats, float]:
     # Neither the unit of a robustness nor a huge one may matter: squares of 1e200 would overflow.
     values = values / (float(np.max(np.abs(values))) or 1.0)
     middle = float(np.median(values))
-    # Where at least half of the values are the least one, there is no spread below the median.
-    spread = max(middle - float(np.min(values)), 1e-3 * abs(middle), LEAST)
+    spread = spread_below(values)
     squeezed = np.where(values > middle, middle + spread * np.log1p(np.maximum(values - middle, 0.0) / spread), values)
     unit = float(np.std(squeezed))
     unit = unit if unit > LEAST else 1.0

@@ -1,6 +1,7 @@
 """Campaigns with a search: where tests come from, what enters a claim, and what changes nothing."""
 
 import json
+import sqlite3
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,8 @@ from perfbound.schemas.file.reader import parse_campaign
 from perfbound.schemas.result.certificate import Certificate
 from perfbound.schemas.result.facts import Header, ProposalFact
 from perfbound.schemas.rollout import RolloutRequest
-from tests.fakes.simulators import noise, robustness, simulate, spec, verified
+from tests.fakes.simulators import checks, noise, robustness, simulate, spec, verified
+from tests.tampering import editing
 
 CLIP = (-1.0, 1.0)
 RIGOROUS = {
@@ -123,6 +125,24 @@ def test_a_search_finds_a_hidden_failure_with_every_method_and_the_certificate_v
     assert predicate.problems[0].stopped_by == "counterexample"
     assert verified(tmp_path) == []
     assert len(Collector(tmp_path).refresh().problems[0].tests.y) < 60
+
+
+def test_the_parts_of_a_specification_are_recorded_and_verified(tmp_path: Path) -> None:
+    config = sought({"method": "sample"}, specification="value >= 0 and value <= 5 - 3 * value", max_tests=20)
+    simulate(tmp_path / "one", config, safe, noisy=False, stop=lambda request: request.test > 9)
+    simulate(tmp_path / "one", config, safe, noisy=False)
+    simulate(tmp_path / "other", config, safe, noisy=False, workers=3)
+    assert proposals(tmp_path / "one") == proposals(tmp_path / "other")
+    with sqlite3.connect(tmp_path / "one" / "campaign.db") as connection:
+        rows = connection.execute("SELECT robustness, parts FROM rollouts WHERE problem = 'robustness'").fetchall()
+    assert len(rows) == 20
+    for value, parts in rows:
+        assert json.loads(parts) == pytest.approx([value, 5 - 4 * value])
+    assert verified(tmp_path / "one") == []
+    with editing(tmp_path / "one") as connection:
+        connection.execute("UPDATE rollouts SET parts = '[1.0,2.0]' WHERE test = 3 AND problem = 'robustness'")
+    (failed,) = (each for each in checks(tmp_path / "one") if each.status == "failed")
+    assert "robustness.3.nominal.0: parts[0] is 1.0" in failed.detail
 
 
 @pytest.mark.rest

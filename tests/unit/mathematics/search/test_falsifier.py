@@ -6,7 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
 
+from perfbound.orchestrator.mathematics.search.candidates import Inputs
 from perfbound.orchestrator.mathematics.search.falsifier import Falsifier, Point
+from perfbound.orchestrator.mathematics.search.goal import Every, Part
 from perfbound.orchestrator.mathematics.search.models import _deviations, _improvement
 from perfbound.orchestrator.mathematics.search.surrogate import Surrogate, _likelihood, fitted, prior_mode
 from perfbound.orchestrator.mathematics.search.warp import warped
@@ -115,6 +117,51 @@ def test_the_model_chooses_admitted_points_alone() -> None:
         point = search.propose()
         assert point[0] < 0.0 or search.is_random(test) or test in {0, 2}
         search.observe(point, bowl(point))
+
+
+def test_while_all_values_are_equal_starts_are_spread_over_the_box() -> None:
+    search, points = Falsifier((0.0,) * 14, (1.0,) * 14, seed=1), []
+    for _ in range(48):
+        points.append(search.propose())
+        search.observe(points[-1], 0.5)
+    assert len(set(points)) == 48
+    found = np.array(points)
+    # The first corner is the model's; half of the others are of Sobol sequences, the rest has some of its ends.
+    assert 0.1 < np.mean((found < 0.01) | (found > 0.99)) < 0.5
+    sobol = found[[test for test in range(2, 48) if test % 4 in {1, 2}]]
+    # Neighbours in the sequence are in opposite halves, so that each half of each range has half of them.
+    assert np.all(np.abs((sobol < 0.5).mean(axis=0) - 0.5) < 0.05)
+
+
+def test_while_nothing_improves_one_of_four_is_elsewhere() -> None:
+    def proposed(first: float) -> list[Point]:
+        search, points = Falsifier(LOW, HIGH, seed=1), list[Point]()
+        for test in range(40):
+            points.append(search.propose())
+            search.observe(points[-1], 1.0 + bowl(points[-1]) if test else first)
+        return points[13::4]
+
+    # With the least value at test 0 none of the others improves anything, whatever it is.
+    assert proposed(0.5) == proposed(0.4)
+    assert proposed(0.5) != proposed(5.0)
+
+
+def test_knots_of_an_input_hold_the_value_of_the_one_before() -> None:
+    inputs, rng = Inputs(7, signals=[(1, 2, 3, 4)]), np.random.default_rng(0)
+    held = inputs.held(rng, rng.random((400, 7)), np.ones((400, 1)))
+    assert np.all(held[:, 1:5] == held[:, 1:2])
+    assert all(len(set(column)) == 400 for column in held[:, [0, 1, 5, 6]].T)
+    often = inputs.held(rng, rng.random((400, 7)), np.full((400, 1), 0.5))
+    assert 0.4 < np.mean(often[:, 1:4] == often[:, 2:5]) < 0.6
+
+
+def test_values_of_parts_are_those_of_the_goal() -> None:
+    alone, parted = Falsifier(LOW, HIGH, seed=0), Falsifier(LOW, HIGH, seed=0, goal=Every((Part(0), Part(1))), parts=2)
+    for search, parts in [(alone, (1.0, 2.0)), (parted, ()), (parted, (1.0,))]:
+        with pytest.raises(ValueError, match="values of parts for a goal"):
+            search.observe((0.0, 10.5, 5e-4), 1.0, parts)
+    with pytest.raises(ValueError, match="finite"):
+        parted.observe((0.0, 10.5, 5e-4), 1.0, (1.0, float("inf")))
 
 
 @pytest.mark.parametrize(
