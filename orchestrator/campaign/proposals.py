@@ -116,7 +116,7 @@ class SearchSource:
         # Ends of a range that are equal: a parameter that never changes, in a box that has to have an inside.
         high = np.where(high > low, high, low + 1.0)
         formula = None if header.config.formula is None else parse_formula(header.config.formula, header.spec.units)
-        goal, parts = goal_of_search(header.config, formula)
+        goal, _ = goal_of_search(header.config, formula)
         self._search = Falsifier(
             low.tolist(),
             high.tolist(),
@@ -129,7 +129,6 @@ class SearchSource:
                 if shape.knots_alike
             ],
             goal=goal,
-            parts=max(len(parts), 1),
         )
 
     def propose(self, series: Series, test: int) -> Proposal:

@@ -48,7 +48,7 @@ class Falsifier:
 
     Points that are not `admitted` are not chosen by the model, unless it finds no other; starts that no model chooses
     may be such points. `signals` are the parameters of each input over time, in the order of its knots. Of a `goal`
-    with several `parts` each has a model, which is fed with the robustness of that part.
+    with several parts each has a model, which is fed with the robustness of that part.
 
     A proposal is a function of the seed, of the observations in their order and of the tests in flight: on one machine
     the same ones give the same bits. Its test number is that of the observations and the tests in flight together.
@@ -74,7 +74,6 @@ class Falsifier:
         admitted: Admitted | None = None,
         signals: Sequence[Sequence[int]] = (),
         goal: Goal = ALONE,
-        parts: int = 1,
     ) -> None:
         self._low, self._high = np.array(low, dtype=np.float64), np.array(high, dtype=np.float64)
         if self._low.ndim != 1 or self._low.shape != self._high.shape or not len(self._low):
@@ -85,7 +84,7 @@ class Falsifier:
             raise ValueError(f"random_every must be at least 1, not {random_every}")
         self._seed, self._random_every, self._admitted = seed, random_every, admitted
         self._inputs = Inputs(len(self._low), signals)
-        self._models = Models(len(self._low), goal, parts)
+        self._models = Models(len(self._low), goal)
         self._sobol: dict[int, tuple[int, Floats]] = {}
 
     @property

@@ -10,7 +10,7 @@ The smallest of several signals has a kink wherever another one becomes the smal
 smoother than their minimum, and has a scale of its own.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -81,6 +81,19 @@ def _split(tree: Formula, found: list[Formula], *, fails: bool) -> Goal:
     if part not in found:
         found.append(part)
     return Part(found.index(part))
+
+
+def numbers(goal: Goal) -> Iterator[int]:
+    """Yield the number of the part at each place of a goal.
+
+    >>> list(numbers(Some((Part(0), Every((Part(1), Part(0)))))))
+    [0, 1, 0]
+    """
+    if isinstance(goal, Part):
+        yield goal.number
+    else:
+        for each in goal.of:
+            yield from numbers(each)
 
 
 def margins(goal: Goal, values: Floats) -> Floats:

@@ -14,7 +14,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..gp.kernels import Floats
-from .goal import Goal, log_failure, margins
+from .goal import Goal, log_failure, margins, numbers
 from .surrogate import Surrogate, fitted, prior_mode
 from .warp import spread_below, warped
 
@@ -34,8 +34,8 @@ Score = Callable[[Floats], Floats]
 class Models:
     """The models of a goal; fed with points of the unit box and the robustness of each part."""
 
-    def __init__(self, dimension: int, goal: Goal, parts: int) -> None:
-        self._goal, self.parts = goal, parts
+    def __init__(self, dimension: int, goal: Goal) -> None:
+        self._goal, self.parts = goal, (parts := 1 + max(numbers(goal)))
         # The last is that of the whole; where there is one part, it is the whole.
         self._thetas = [prior_mode(dimension)] * (parts if parts == 1 else parts + 1)
         self._next_fit = 3

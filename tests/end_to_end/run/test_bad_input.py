@@ -115,7 +115,12 @@ def changed(old: str, new: str) -> str:
 @pytest.mark.parametrize(
     ("old", "new", "key", "allowed"),
     [
-        ("horizon = 15.0", "horizont = 15.0", "horizont", "did you mean 'horizon'? allowed are batch, candidates"),
+        (
+            "horizon = 15.0",
+            "horizont = 15.0",
+            "horizont",
+            "did you mean 'horizon'? allowed are batch, beyond, candidates",
+        ),
         ("alpha = 0.05", "alhpa = 0.05", f"{NOMINAL}.alhpa", "did you mean 'alpha'? allowed are alpha"),
         ("nu = 10.0", "mu = 10.0", f"{NOMINAL}.kernel.mu", "allowed are length_scale, nu"),
         ("[space]", "[spaces]", "spaces", "did you mean 'space'?"),

@@ -156,7 +156,7 @@ def test_knots_of_an_input_hold_the_value_of_the_one_before() -> None:
 
 
 def test_values_of_parts_are_those_of_the_goal() -> None:
-    alone, parted = Falsifier(LOW, HIGH, seed=0), Falsifier(LOW, HIGH, seed=0, goal=Every((Part(0), Part(1))), parts=2)
+    alone, parted = Falsifier(LOW, HIGH, seed=0), Falsifier(LOW, HIGH, seed=0, goal=Every((Part(0), Part(1))))
     for search, parts in [(alone, (1.0, 2.0)), (parted, ()), (parted, (1.0,))]:
         with pytest.raises(ValueError, match="values of parts for a goal"):
             search.observe((0.0, 10.5, 5e-4), 1.0, parts)
