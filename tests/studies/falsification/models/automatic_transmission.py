@@ -254,10 +254,8 @@ def _benchmark(name: str, formula: str, instance: int) -> Benchmark:
 
 def _stays_in(gear: int) -> str:
     """Return AT5: once the gear is engaged it remains so for 2.5 s."""
-    # The gear is a whole number: with "= gear" the robustness of the premise would never be above 0.
-    engaged = f"abs(gear - {gear}) <= 0.5"
-    premise = f"not ({engaged}) and eventually[0.001,0.1] ({engaged})"
-    return f"always[0,30] (({premise}) implies eventually[0.001,0.1] (always[0,2.5] ({engaged})))"
+    shifted = f"not gear == {gear} and eventually[0.001,0.1] gear == {gear}"
+    return f"always[0,30] ({shifted} implies eventually[0.001,0.1] always[0,2.5] gear == {gear})"
 
 
 def _slow_engine(until: int, speed: int) -> str:

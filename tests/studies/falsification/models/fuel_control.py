@@ -21,7 +21,7 @@ from typing import TypeVar
 import numpy as np
 
 from tests.studies.falsification.benchmark import Benchmark, Floats, Rollout
-from tests.studies.falsification.models.input_signals import every, held
+from tests.studies.falsification.models.inputs import held, steps
 
 PERIOD = 0.01
 """Of the controller, s."""
@@ -263,8 +263,8 @@ def rollout(pedal: Floats, speed: float, times: Floats) -> Rollout:
 
 def simulate(point: Floats) -> Rollout:
     """Simulate the angles of the pedal and the speed of the engine that `point` has."""
-    times = every(PERIOD, END)
-    return rollout(held(point[:-1], LAST_CHANGE, times), float(point[-1]), times)
+    times = steps(END, PERIOD)
+    return rollout(held(point[:-1], LAST_CHANGE / (len(point) - 1), times), float(point[-1]), times)
 
 
 RISE = "(pedal < 8.8 and eventually[0,0.05] pedal > 40)"

@@ -16,7 +16,7 @@ import numpy as np
 
 from tests.studies.falsification.benchmark import Benchmark, Floats, Rollout
 from tests.studies.falsification.models.fighter_tables import coefficients, thrust
-from tests.studies.falsification.models.input_signals import every
+from tests.studies.falsification.models.inputs import steps
 
 END = 15.0
 """s."""
@@ -202,7 +202,7 @@ def simulate(point: Floats, *, altitude: float, end: float = END) -> Rollout:
     """Simulate from roll, pitch and yaw in rad at an altitude in ft."""
     roll, pitch, yaw = point.tolist()
     state: State = (SPEED, ATTACK, 0.0, roll, pitch, yaw, 0.0, 0.0, 0.0, altitude, POWER, 0.0, 0.0, 0.0)
-    times = every(STEP, end)
+    times = steps(end, STEP)
     columns = np.empty((len(times), 10))
     modes = np.empty(len(times))
     mode, pulled = ROLLING, 0.0

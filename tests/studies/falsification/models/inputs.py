@@ -16,24 +16,25 @@ def steps(duration: float, step: float) -> Floats:
 
 
 def held(values: Floats, every: float, times: Floats) -> Floats:
-    """Return signals (R, T) that hold each value (R, k) for `every` seconds.
+    """Return signals (..., T) that hold each value (..., k) for `every` seconds, and the last one after that.
 
     >>> held(np.array([[1.0, 2.0]]), 5.0, np.array([0.0, 4.9, 5.0, 10.0])).tolist()
     [[1.0, 1.0, 2.0, 2.0]]
     """
     interval = ((times + ROUND_OFF) / every).astype(np.intp)
-    return values[:, np.minimum(interval, values.shape[1] - 1)]
+    signals: Floats = values[..., np.minimum(interval, values.shape[-1] - 1)]
+    return signals
 
 
 def linear(values: Floats, until: float, times: Floats) -> Floats:
-    """Return signals (R, T), linear between the values (R, k) at evenly spaced times from 0 to `until`.
+    """Return signals (..., T), linear between the values (..., k) at evenly spaced times from 0 to `until`.
 
     >>> linear(np.array([[1.0, 2.0]]), 10.0, np.array([0.0, 5.0, 10.0])).tolist()
     [[1.0, 1.5, 2.0]]
     """
-    place = np.clip(times / until, 0.0, 1.0) * (values.shape[1] - 1)
-    left = np.minimum(place.astype(np.intp), values.shape[1] - 2)
-    signals: Floats = values[:, left] + (place - left) * (values[:, left + 1] - values[:, left])
+    place = np.clip(times / until, 0.0, 1.0) * (values.shape[-1] - 1)
+    left = np.minimum(place.astype(np.intp), values.shape[-1] - 2)
+    signals: Floats = values[..., left] + (place - left) * (values[..., left + 1] - values[..., left])
     return signals
 
 

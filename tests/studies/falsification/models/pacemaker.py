@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 from tests.studies.falsification.benchmark import Benchmark, Floats, Rollout
-from tests.studies.falsification.models.input_signals import held, linear
+from tests.studies.falsification.models.inputs import held, linear
 
 END = 10.0
 """s."""
@@ -51,7 +51,7 @@ def counts(period: Floats) -> Floats:
 def simulate(point: Floats, *, knots: bool) -> Rollout:
     """Simulate the limit of the heart rate that `point` has at knots, or holds."""
     times = np.arange(STEPS + 1) / 1000.0
-    rate = np.floor((linear if knots else held)(point, END, times))
+    rate = np.floor(linear(point, END, times) if knots else held(point, END / len(point), times))
     sampled = slice(None, None, EVERY)
     period = 60_000.0 / rate
     return times[sampled], {

@@ -17,14 +17,14 @@ from functools import partial
 import numpy as np
 
 from tests.studies.falsification.benchmark import Benchmark, Floats, Rollout
-from tests.studies.falsification.models.input_signals import every, held, linear
+from tests.studies.falsification.models.inputs import held, linear, steps
 
 END = 35.0
 """s."""
 STEP = 0.05
 KNOTS = 141
 SEGMENTS = 20
-FORMULA = "always[30,35] (pressure >= 87 and pressure <= 87.5)"
+FORMULA = "always[30,35] (87 <= pressure <= 87.5)"
 
 VOLUME = 3.0
 """Of the steam, m^3."""
@@ -153,8 +153,8 @@ def rollout(steam: Floats, times: Floats) -> Rollout:
 
 def simulate(point: Floats, *, knots: bool) -> Rollout:
     """Simulate the flow of steam that `point` has at knots, or holds."""
-    times = every(STEP, END)
-    return rollout((linear if knots else held)(point, END, times), times)
+    times = steps(END, STEP)
+    return rollout(linear(point, END, times) if knots else held(point, END / SEGMENTS, times), times)
 
 
 BENCHMARKS = tuple(
