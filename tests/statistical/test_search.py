@@ -83,7 +83,9 @@ def by_chance(function: Function, dimension: int) -> float:
     [(bowl, 4, 0.2), (clipped, 2, 0.5), (ridge, 2, 0.1), (jump, 5, 0.1), (corner, 10, 0.1), (disc, 2, 2.0)],
 )
 def test_the_search_needs_a_small_share_of_random_starts(function: Function, dimension: int, of_chance: float) -> None:
-    counts = [first_failure(function, dimension, seed) for seed in SEEDS]
+    # By chance the first failure comes after numbers of tests that differ by their mean.
+    seeds = range(60) if function is disc else SEEDS
+    counts = [first_failure(function, dimension, seed) for seed in seeds]
     # Where nothing leads to a failure the search is as good as chance, and no worse than twice that.
     assert float(np.median(counts)) <= of_chance * by_chance(function, dimension), sorted(counts)
 

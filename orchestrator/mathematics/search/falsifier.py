@@ -37,7 +37,7 @@ ROUNDS = (0.1, 0.03, 0.01)
 """Steps around the best candidates, in length scales."""
 SHAPES = 64
 """Starts of which the first admitted one is taken."""
-PATIENCE = 10
+PATIENCE = 20
 """Tests without an improvement after which one of four is tried elsewhere: a model can be stuck at a wrong place."""
 MODEL, SOBOL, FIRST, FLAT, SHAPED = range(5)
 """Streams of random numbers."""
