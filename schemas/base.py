@@ -4,7 +4,7 @@ import hashlib
 import json
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 
 class Model(BaseModel):
@@ -20,6 +20,11 @@ class Model(BaseModel):
         # Names of fields alone: pydantic otherwise keeps the texts of messages too, thousands of them.
         cache_strings="keys",
     )
+
+
+def key_if_given(text: str, **limits: Any) -> Any:
+    """Return the field of a key that is written only where given: other texts stay what they were, to the byte."""
+    return Field(default=None, exclude_if=lambda value: value is None, description=text, **limits)
 
 
 _CANONICAL = json.JSONEncoder(sort_keys=True, separators=(",", ":"), allow_nan=False)

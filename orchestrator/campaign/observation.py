@@ -52,12 +52,12 @@ class Score(NamedTuple):
     """The robustness of each part that a search has a model of."""
 
 
-def goal_of_search(config: CampaignConfig, formula: Formula | None) -> tuple[Goal, tuple[Formula, ...]]:
+def goal_of_search(config: CampaignConfig, spec: SystemSpec) -> tuple[Goal, tuple[Formula, ...]]:
     """Return the goal of the search of a campaign, and the parts that are recorded: none where it has one model."""
     # Of a batch the scores of the whole are recorded, in columns.
-    if config.falsify is None or formula is None or config.batch > 1:
+    if config.falsify is None or config.formula is None or config.batch > 1:
         return ALONE, ()
-    goal, parts = goal_of(formula)
+    goal, parts = goal_of(parse_formula(config.formula, spec.units))
     return goal, parts if len(parts) > 1 else ()
 
 
@@ -77,7 +77,7 @@ class Observer:
         columns_alone = all(OBJECTIVES[problem.name].measured == "column" for problem in config.problems)
         self._clip = config.clip or (None if columns_alone else UNBOUNDED)
         self._parsed = None if config.formula is None else parse_formula(config.formula, spec.units)
-        self._sought = goal_of_search(config, self._parsed)[1]
+        self._sought = goal_of_search(config, spec)[1]
         self._requirements = [parse_formula(each.formula, spec.units) for each in config.specifications]
         self._parts = {
             each.name: Observer(part, spec) for each, part in zip(config.specifications, parts_of(config), strict=False)

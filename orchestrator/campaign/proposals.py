@@ -1,6 +1,7 @@
 """Where the tests of a problem come from: its method, or a search for a counterexample."""
 
 from collections.abc import Sequence
+from operator import itemgetter
 from typing import Protocol
 
 import numpy as np
@@ -13,7 +14,6 @@ from ...schemas.values import Bound, Proposal
 from ..mathematics.bounds.sample import SampleMethod
 from ..mathematics.gp.points import point_at
 from ..mathematics.search import Falsifier
-from ..mathematics.stl.parser import parse_formula
 from .methods import ProblemMethod
 from .objectives import LARGEST, clipped
 from .observation import LIMITS, goal_of_search
@@ -115,8 +115,6 @@ class SearchSource:
         seed = int(uniform(header, f"{plan.name}.search", range(1), 1)[0, 0] * 2**53)
         # Ends of a range that are equal: a parameter that never changes, in a box that has to have an inside.
         high = np.where(high > low, high, low + 1.0)
-        formula = None if header.config.formula is None else parse_formula(header.config.formula, header.spec.units)
-        goal, _ = goal_of_search(header.config, formula)
         self._search = Falsifier(
             low.tolist(),
             high.tolist(),
@@ -128,7 +126,7 @@ class SearchSource:
                 for shape in signal_shapes(header.config.space)
                 if shape.knots_alike
             ],
-            goal=goal,
+            goal=goal_of_search(header.config, header.spec)[0],
         )
 
     def propose(self, series: Series, test: int) -> Proposal:
@@ -171,12 +169,11 @@ class SearchSource:
         assert proposal is not None
         assert isinstance(fact, ObservationFact)
         # The worst, not the mean: one rollout below 0 is the counterexample.
-        scored = [each for each in series.last_rollouts if each.robustness is not None]
-        worst = min(scored, key=lambda each: each.robustness or 0.0, default=None)
+        scored = ((each.robustness, each.parts) for each in series.last_rollouts if each.robustness is not None)
+        worst, parts = min(scored, key=itemgetter(0), default=(LARGEST, ()))
         # A drawn start may have a disturbance beyond what a search chooses.
         x = tuple(np.clip(proposal.x, *self._space.box).tolist())
-        value = LARGEST if worst is None or worst.robustness is None else clipped(worst.robustness, LIMITS)
-        self._search.observe(x, value, () if worst is None else worst.parts)
+        self._search.observe(x, clipped(worst, LIMITS), parts)
         if self._plan.is_evidence(fact.test):
             return self._method.observe(proposal, fact.observation)
         # A start that was chosen by the outcomes before it is no sample: the bound is that of the samples so far.

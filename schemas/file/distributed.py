@@ -1,11 +1,10 @@
 """The distribution of one number, as a file describes it."""
 
 from collections.abc import Mapping
-from typing import Any
 
 from pydantic import Field
 
-from ..base import Model
+from ..base import Model, key_if_given
 from ..values import DistributionName
 
 DISTRIBUTIONS: Mapping[DistributionName, tuple[str, ...]] = {
@@ -20,12 +19,6 @@ POSITIVE: frozenset[DistributionName] = frozenset({"lognormal", "weibull"})
 """Distributions of positive numbers alone."""
 
 
-def described_key(text: str, *, gt: float | None = None) -> Any:
-    """Return the field of a key that belongs to one form of a distribution."""
-    # Written only where given: the texts of campaigns without distributions stay what they were, to the byte.
-    return Field(default=None, exclude_if=lambda value: value is None, description=text, gt=gt)
-
-
 class Distributed(Model):
     """A number with a distribution, which is truncated to [low, high] where these are given."""
 
@@ -33,13 +26,13 @@ class Distributed(Model):
     high: float | None = Field(default=None, description="largest value")
     unit: str = ""
     distribution: DistributionName = "uniform"
-    mean: float | None = described_key("of `normal`")
-    sd: float | None = described_key("of `normal`: standard deviation", gt=0)
-    median: float | None = described_key("of `lognormal`", gt=0)
-    sigma: float | None = described_key("of `lognormal`: standard deviation of the logarithm, without unit", gt=0)
-    mode: float | None = described_key("of `triangular`: the most frequent value; the ends are `low` and `high`")
-    shape: float | None = described_key("of `weibull`: k; 1 is exponential, 2 Rayleigh", gt=0)
-    scale: float | None = described_key("of `weibull`: the value that 63.2 % do not exceed", gt=0)
+    mean: float | None = key_if_given("of `normal`")
+    sd: float | None = key_if_given("of `normal`: standard deviation", gt=0)
+    median: float | None = key_if_given("of `lognormal`", gt=0)
+    sigma: float | None = key_if_given("of `lognormal`: standard deviation of the logarithm, without unit", gt=0)
+    mode: float | None = key_if_given("of `triangular`: the most frequent value; the ends are `low` and `high`")
+    shape: float | None = key_if_given("of `weibull`: k; 1 is exponential, 2 Rayleigh", gt=0)
+    scale: float | None = key_if_given("of `weibull`: the value that 63.2 % do not exceed", gt=0)
 
     def check_distribution(self) -> None:
         """Refuse keys that do not belong to the distribution, and the lack of those that do; raises ValueError."""

@@ -6,9 +6,10 @@ from typing import Any
 
 from pydantic import Field, model_validator
 
+from ..base import key_if_given
 from ..ranges import Magnitude
 from ..written import Written
-from .distributed import Distributed, described_key
+from .distributed import Distributed
 
 MAX_DISTURBANCES = 100
 MAX_CHOICES = 1000
@@ -22,8 +23,8 @@ class Disturbance(Distributed, metaclass=Written):
     """
 
     name: str = Field(default="", pattern=r"^([a-z][a-z0-9_]*)?$", exclude_if=lambda name: not name)
-    low: Magnitude | None = described_key("smallest value; required by `uniform` and `triangular`")
-    high: Magnitude | None = described_key("largest value; required by `uniform` and `triangular`")
+    low: Magnitude | None = key_if_given("smallest value; required by `uniform` and `triangular`")
+    high: Magnitude | None = key_if_given("largest value; required by `uniform` and `triangular`")
     choices: tuple[Magnitude, ...] | None = Field(
         default=None,
         exclude_if=lambda value: value is None,
@@ -31,7 +32,7 @@ class Disturbance(Distributed, metaclass=Written):
         max_length=MAX_CHOICES,
         description="all values, in place of a distribution",
     )
-    probabilities: tuple[float, ...] | None = described_key("of `choices`; equal ones by default")
+    probabilities: tuple[float, ...] | None = key_if_given("of `choices`; equal ones by default")
     scipy: str | None = Field(
         default=None,
         exclude_if=lambda value: value is None,

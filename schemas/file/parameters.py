@@ -6,19 +6,16 @@ from typing import Annotated, Any
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from ..base import key_if_given
 from ..rollout import MAX_PARAMETERS
 from ..values import DistributionName
-from .distributed import Distributed, described_key
+from .distributed import Distributed
 from .signals import MAX_KNOTS, MAX_PROFILE, PARTS, RATED, Ends, SignalKind, SignalShape, extremes, least_knots
 
 MAX_CHOICES = 1000
 MAX_STEPS = 1_000_000
 LATE = 1e-9
 """Of the horizon: a time that is so little behind it is the horizon, rounded."""
-
-
-def _of_signal(text: str, **limits: Any) -> Any:
-    return Field(default=None, exclude_if=lambda value: value is None, description=text, **limits)
 
 
 NUMBER_TAGS = ("number", "range")
@@ -47,7 +44,7 @@ class Range(Distributed):
         exclude_if=lambda name: name == "uniform",
         description="of drawn starts, truncated to [low, high]",
     )
-    step: float | None = described_key("drawn values are `low`, `low` + step, ... `high`; 1 for integers", gt=0)
+    step: float | None = key_if_given("drawn values are `low`, `low` + step, ... `high`; 1 for integers", gt=0)
     choices: tuple[float, ...] | None = Field(
         default=None,
         exclude_if=lambda value: value is None,
@@ -55,35 +52,35 @@ class Range(Distributed):
         max_length=MAX_CHOICES,
         description="all values, instead of `low` and `high`; drawn with equal probabilities",
     )
-    signal: SignalKind | None = _of_signal(
+    signal: SignalKind | None = key_if_given(
         "an input over time: through `knots` values, smooth and monotone between knots, linear, or constant until the "
         "next one; or a `sine` or a `step` by its numbers"
     )
-    knots: int | None = _of_signal(
+    knots: int | None = key_if_given(
         "required without `times`: how many values, at equal distances over [0, horizon]; each is a parameter NAME_0, "
         "NAME_1, ...",
         ge=1,
         le=MAX_KNOTS,
     )
-    until: float | None = _of_signal("s: the knots are spread over [0, until], and the last one is held", gt=0)
-    times: tuple[float, ...] | None = _of_signal(
+    until: float | None = key_if_given("s: the knots are spread over [0, until], and the last one is held", gt=0)
+    times: tuple[float, ...] | None = key_if_given(
         "s: the time of each knot, from 0 on; of `constant` those at which the value changes",
         min_length=1,
         max_length=MAX_KNOTS,
     )
-    rate: float | None = _of_signal(
+    rate: float | None = key_if_given(
         "of `linear` and `pchip`: largest slope between two knots, in the unit per s; behind the first knot the "
         "parameters are then NAME_share_1, ...: shares in [0, 1] of what the rate leaves the knot",
         gt=0,
     )
-    amplitude: "Number | None" = _of_signal("of a `sine`: offset + amplitude * sin(2 pi * frequency * t + phase)")
-    frequency: "Number | None" = _of_signal("of a `sine`, in Hz")
-    phase: "Number | None" = _of_signal("of a `sine`, in rad; by default 0")
-    offset: "Number | None" = _of_signal("of a `sine`; by default 0")
-    at: "Number | None" = _of_signal("of a `step`: the time of the step, in s")
-    before: "Number | None" = _of_signal("of a `step`: the value before it")
-    after: "Number | None" = _of_signal("of a `step`: the value from then on")
-    profile: tuple[tuple[float, float], ...] | None = _of_signal(
+    amplitude: "Number | None" = key_if_given("of a `sine`: offset + amplitude * sin(2 pi * frequency * t + phase)")
+    frequency: "Number | None" = key_if_given("of a `sine`, in Hz")
+    phase: "Number | None" = key_if_given("of a `sine`, in rad; by default 0")
+    offset: "Number | None" = key_if_given("of a `sine`; by default 0")
+    at: "Number | None" = key_if_given("of a `step`: the time of the step, in s")
+    before: "Number | None" = key_if_given("of a `step`: the value before it")
+    after: "Number | None" = key_if_given("of a `step`: the value from then on")
+    profile: tuple[tuple[float, float], ...] | None = key_if_given(
         "a recorded input, the same in all starts: the name of a CSV file beside this one, or its rows [t, value], "
         'from t = 0 on; the last value is held; by default with `signal = "linear"`',
         min_length=1,

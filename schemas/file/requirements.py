@@ -9,23 +9,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from ..base import Model
+from ..base import Model, key_if_given
 from .problem_models import Linearised, MaternKernel
 
 MOST = 50
 OWN_CONSTANT = "instead of the problem's; not with method `sample`"
-
-
-def _left_out(text: str, longest: int) -> Any:
-    return Field(default=None, max_length=longest, exclude_if=lambda value: value is None, description=text)
-
-
-def _own_constant() -> Any:
-    return Field(
-        default=None,
-        exclude_if=lambda value: value is None,
-        description=OWN_CONSTANT,
-    )
 
 
 class Requirement(Model):
@@ -33,16 +21,16 @@ class Requirement(Model):
 
     name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,39}$", description="the key under `[specifications]`")
     formula: str = Field(max_length=10_000, description="STL formula over trajectory columns")
-    id: str | None = _left_out("of the requirement in its document", 200)
-    text: str | None = _left_out("the requirement as it is written there", 2000)
-    link: str | None = _left_out("to the document", 2000)
-    alpha: Annotated[float, Field(gt=0)] | None = _own_constant()
-    rkhs_norm: Annotated[float, Field(gt=0)] | None = _own_constant()
-    prior_mean: float | None = _own_constant()
-    noise_scale: Literal["derived"] | Annotated[float, Field(ge=0)] | None = _own_constant()
-    misspecification: Annotated[float, Field(ge=0)] | None = _own_constant()
-    kernel: MaternKernel | None = _own_constant()
-    linearised: Linearised | None = _own_constant()
+    id: str | None = key_if_given("of the requirement in its document", max_length=200)
+    text: str | None = key_if_given("the requirement as it is written there", max_length=2000)
+    link: str | None = key_if_given("to the document", max_length=2000)
+    alpha: Annotated[float, Field(gt=0)] | None = key_if_given(OWN_CONSTANT)
+    rkhs_norm: Annotated[float, Field(gt=0)] | None = key_if_given(OWN_CONSTANT)
+    prior_mean: float | None = key_if_given(OWN_CONSTANT)
+    noise_scale: Literal["derived"] | Annotated[float, Field(ge=0)] | None = key_if_given(OWN_CONSTANT)
+    misspecification: Annotated[float, Field(ge=0)] | None = key_if_given(OWN_CONSTANT)
+    kernel: MaternKernel | None = key_if_given(OWN_CONSTANT)
+    linearised: Linearised | None = key_if_given(OWN_CONSTANT)
 
     @property
     def constants(self) -> dict[str, Any]:

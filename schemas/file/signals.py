@@ -6,7 +6,7 @@ from typing import Any, Literal, NamedTuple
 
 from pydantic import Field, model_validator
 
-from ..base import Model
+from ..base import Model, key_if_given
 from ..ranges import Magnitude
 
 SignalKind = Literal["pchip", "linear", "constant", "sine", "step"]
@@ -67,11 +67,6 @@ def extremes(kind: SignalKind, ends: Mapping[str, Ends]) -> Ends:
     return min(both), max(both)
 
 
-def _given(text: str) -> Any:
-    # Requests of other signals stay what they were, to the byte: they are in the files of trajectories.
-    return Field(default=None, exclude_if=lambda value: value is None, description=text)
-
-
 class SignalShape(Model):
     """One input signal: its name, its interpolation, and what of it are parameters of a start.
 
@@ -83,14 +78,14 @@ class SignalShape(Model):
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
     kind: SignalKind = "pchip"
     knots: int = Field(default=5, ge=0, le=MAX_KNOTS, description="those that are parameters")
-    until: float | None = _given("s; the last knot, where it is not at the horizon")
-    times: tuple[Magnitude, ...] | None = _given("s; of each knot, where they are not at equal distances")
-    rate: float | None = _given("largest slope between knots, in the unit of the signal per s")
-    ends: tuple[Magnitude, Magnitude] | None = _given("with `rate`: the least and the greatest value of a knot")
+    until: float | None = key_if_given("s; the last knot, where it is not at the horizon")
+    times: tuple[Magnitude, ...] | None = key_if_given("s; of each knot, where they are not at equal distances")
+    rate: float | None = key_if_given("largest slope between knots, in the unit of the signal per s")
+    ends: tuple[Magnitude, Magnitude] | None = key_if_given("with `rate`: the least and the greatest value of a knot")
     parts: dict[str, Number] = Field(
         default_factory=dict, exclude_if=lambda parts: not parts, description="the numbers of a sine or of a step"
     )
-    profile: tuple[Magnitude, ...] | None = _given("the values of all knots, at `times`")
+    profile: tuple[Magnitude, ...] | None = key_if_given("the values of all knots, at `times`")
     recorded: bool = Field(
         default=False,
         exclude_if=lambda recorded: not recorded,

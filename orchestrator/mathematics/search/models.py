@@ -40,14 +40,14 @@ class Models:
         self._thetas = [prior_mode(dimension)] * (parts if parts == 1 else parts + 1)
         self._next_fit = 3
         self.points: list[Floats] = []
-        self._values: list[Sequence[float]] = []
+        self._values: list[tuple[float, ...]] = []
         self.robustness: list[float] = []
         """Of the whole formula."""
 
     def observe(self, point: Floats, values: Sequence[float], robustness: float) -> None:
         """Take a test."""
         self.points.append(point)
-        self._values.append(values)
+        self._values.append(tuple(values))
         self.robustness.append(robustness)
         # At numbers of observations alone, so that tests in flight change no length scale.
         if len(self.points) >= self._next_fit:
@@ -61,7 +61,7 @@ class Models:
     @property
     def flat(self) -> bool:
         """Whether nothing has been seen that could lead anywhere: every part has one value in several tests."""
-        return len(self.points) >= FEWEST and all(np.ptp(each) == 0 for each in self._values_of_parts().T)
+        return len(self.points) >= FEWEST and all(each == self._values[0] for each in self._values)
 
     @property
     def since_the_best(self) -> int:
@@ -70,32 +70,29 @@ class Models:
 
     def scores(self, *, downwards: bool, pending: Sequence[Floats]) -> tuple[Score, Floats]:
         """Return an acquisition function and the length scales (p,) around its best points."""
-        points, modelled = np.array(self.points), self._modelled()
+        modelled = list(zip(self._modelled(), self._thetas, strict=True))
         if downwards:
-            kept, z, _ = _chosen(modelled[-1], LARGEST)
-            model = Surrogate(self._thetas[-1], points[kept], z, pending[-LARGEST:])
+            model, z, _ = self._fitted(*modelled[-1], pending)
             return (lambda found: _improvement(model, found, float(np.min(z)))), model.lengths
-        models: list[tuple[Surrogate, float]] = []
-        for values, theta in zip(modelled[: self.parts], self._thetas, strict=False):
-            kept, z, level = _chosen(values, LARGEST)
-            # Beyond so many tests in flight, only the latest are kept apart: a bound on the cost.
-            models.append((Surrogate(theta, points[kept], z, pending[-LARGEST:]), level))
-        lengths = np.min([model.lengths for model, _ in models], axis=0)
-        if self.parts == 1:
-            ((model, level),) = models
-            return (lambda found: _deviations(model, found, level)), lengths
-        return (
-            lambda found: log_failure(
-                self._goal, [scipy.special.log_ndtr(_deviations(model, found, level)) for model, level in models]
-            )
-        ), lengths
+        models = [self._fitted(*each, pending) for each in modelled[: self.parts]]
+        lengths = np.min([model.lengths for model, _, _ in models], axis=0)
 
-    def _values_of_parts(self) -> Floats:
-        return np.array(self._values, dtype=np.float64)
+        def score(found: Floats) -> Floats:
+            deviations = [_deviations(model, found, level) for model, _, level in models]
+            # Of one part they order alike, and tell starts apart whose probabilities are both 1 to the last digit.
+            return deviations[0] if self.parts == 1 else log_failure(self._goal, scipy.special.log_ndtr(deviations))
+
+        return score, lengths
+
+    def _fitted(self, values: Floats, theta: Floats, pending: Sequence[Floats]) -> tuple[Surrogate, Floats, float]:
+        """Return the model of some values (n,), these on its scale, and the level of 0 there."""
+        kept, z, level = _chosen(values, LARGEST)
+        # Beyond so many tests in flight, only the latest are kept apart: a bound on the cost.
+        return Surrogate(theta, np.array(self.points)[kept], z, pending[-LARGEST:]), z, level
 
     def _modelled(self) -> list[Floats]:
         """Return the values (n,) of each model: of each part, and of the whole with each part in its own unit."""
-        values = self._values_of_parts()
+        values = np.array(self._values, dtype=np.float64)
         each = list(values.T)
         if self.parts == 1:
             return each

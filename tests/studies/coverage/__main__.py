@@ -6,10 +6,12 @@ import sys
 from pathlib import Path
 
 from perfbound.schemas.platforms import one_blas_thread
+from tests.studies.command import ended
+from tests.studies.pages import PageError
 
 one_blas_thread()
 
-from tests.studies.coverage.page import PageError, collect, tables, write  # noqa: E402  (numpy reads the setting once)
+from tests.studies.coverage.page import collect, tables, write  # noqa: E402  (numpy reads the setting once)
 from tests.studies.coverage.run import run  # noqa: E402
 from tests.studies.coverage.study import all_rows  # noqa: E402
 
@@ -47,11 +49,4 @@ def _positive(text: str) -> int:
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main())
-    except PageError as error:
-        sys.stderr.write(f"{error}\n")
-        sys.exit(1)
-    except KeyboardInterrupt:
-        sys.stderr.write("stopped; the same command continues\n")
-        sys.exit(130)
+    sys.exit(ended(main, PageError))

@@ -17,6 +17,7 @@ from tests.studies.coverage.records import DIRECTORY, Chunk, Row, code, read, to
 from tests.studies.coverage.study import CHUNK
 from tests.studies.coverage.summary import FIGURE, ORIGINS, PARTS, RESULTS, RecordError, csv_text, marks, part
 from tests.studies.coverage.summary import read as read_record
+from tests.studies.pages import PageError, page_text, with_part
 
 JUDGED: dict[str, tuple[str, ...]] = {
     "rigorous": ("failed",),
@@ -33,10 +34,6 @@ JUDGED: dict[str, tuple[str, ...]] = {
     "paper": (),
 }
 """The statements of a kind that must not fail more often than claimed; `failed` is any of the others."""
-
-
-class PageError(ValueError):
-    """The page cannot be written."""
 
 
 class Found(NamedTuple):
@@ -347,19 +344,11 @@ def write(page: Path, found: Sequence[Found], results: Path = RESULTS) -> None:
         PageError: the page cannot be read, or has no marks for a part; or a record is missing.
 
     """
-    try:
-        text = page.read_text(encoding="utf-8")
-    except OSError as error:
-        raise PageError(f"{page}: {error.strerror}; give --write an existing page") from error
-    for name in PARTS:
-        if not all(mark in text for mark in marks(name)):
-            begin, end = marks(name)
-            raise PageError(f"{page} has no lines '{begin}' and '{end}': put them where the table belongs")
+    text = page_text(page, *map(marks, PARTS))
     record(found, results)
     try:
         for name in PARTS:
-            begin, end = marks(name)
-            text = text.split(begin)[0] + part(name, results) + text.split(end)[1]
+            text = with_part(text, *marks(name), part(name, results))
     except RecordError as error:
         raise PageError(str(error)) from error
     page.write_text(text, encoding="utf-8")

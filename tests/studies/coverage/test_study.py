@@ -27,6 +27,7 @@ from tests.studies.coverage.requirements import Requirements
 from tests.studies.coverage.rigorous import Audit
 from tests.studies.coverage.scenario import Scenario
 from tests.studies.coverage.study import CHUNK, all_rows, one_chunk
+from tests.studies.pages import PageError
 
 PURE = (functions, noises, bounded, laws, disturbed, oracle)
 ALLOWED = {"numpy", "scipy", "sklearn"} | set(sys.stdlib_module_names)
@@ -276,6 +277,6 @@ def test_a_page_that_cannot_be_written_is_named(tmp_path: Path, text: str | None
     target = tmp_path / "page.md"
     if text is not None:
         target.write_text(text, encoding="utf-8")
-    with pytest.raises(page.PageError, match=r"page\.md"):
+    with pytest.raises(PageError, match=r"page\.md"):
         page.write(target, [found_row(1.0, refuted=0)], tmp_path / "results")
     assert not (tmp_path / "results").exists()

@@ -6,10 +6,12 @@ import sys
 from pathlib import Path
 
 from perfbound.schemas.platforms import one_blas_thread
+from tests.studies.command import ended
+from tests.studies.pages import PageError
 
 one_blas_thread()
 
-from tests.studies.falsification.page import PageError, cell, table, write  # noqa: E402  (numpy reads the setting once)
+from tests.studies.falsification.page import cell, table, write  # noqa: E402  (numpy reads the setting once)
 from tests.studies.falsification.registry import benchmarks  # noqa: E402
 from tests.studies.falsification.study import (  # noqa: E402
     BUDGET,
@@ -55,11 +57,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main())
-    except PageError as error:
-        sys.stderr.write(f"{error}\n")
-        sys.exit(1)
-    except KeyboardInterrupt:
-        sys.stderr.write("stopped; the same command continues\n")
-        sys.exit(130)
+    sys.exit(ended(main, PageError))

@@ -8,12 +8,9 @@ from perfbound.orchestrator.report.paper.table_text import markdown
 from perfbound.schemas import atomic
 from tests.studies.falsification.registry import benchmarks
 from tests.studies.falsification.study import SEARCHES, Row
+from tests.studies.pages import page_text, with_part
 
 BEGIN, END = "<!-- falsification: begin -->", "<!-- falsification: end -->"
-
-
-class PageError(ValueError):
-    """The page cannot be written."""
 
 
 def rate(rows: Sequence[Row]) -> str:
@@ -75,11 +72,5 @@ def write(page: Path, rows: Sequence[Row]) -> None:
         PageError: the page cannot be read, or lacks the marks.
 
     """
-    try:
-        text = page.read_text(encoding="utf-8")
-    except OSError as error:
-        raise PageError(f"{page}: {error.strerror}; give --write an existing page") from error
-    if BEGIN not in text or END not in text:
-        raise PageError(f"{page} has no lines '{BEGIN}' and '{END}': put them where the tables belong")
-    before, after = text.split(BEGIN)[0], text.split(END)[1]
-    atomic.write_whole(page, f"{before}{section(rows)}{after}".encode())
+    text = page_text(page, (BEGIN, END))
+    atomic.write_whole(page, with_part(text, BEGIN, END, section(rows)).encode())

@@ -13,6 +13,7 @@ from tests.studies.falsification.benchmark import Benchmark, Floats
 from tests.studies.falsification.models import automatic_transmission, chasing_cars, inputs
 from tests.studies.falsification.registry import benchmark, benchmarks
 from tests.studies.falsification.study import OURS, RESULTS, Row, Run
+from tests.studies.pages import PageError
 
 PAGE = Path("docs/falsification.md")
 ALL = [pytest.param(each, id=f"{each.name}-{each.instance}") for each in benchmarks()]
@@ -119,7 +120,7 @@ def test_a_page_without_marks_is_named(tmp_path: Path) -> None:
     for text in (None, "no marks"):
         if text is not None:
             target.write_text(text, encoding="utf-8")
-        with pytest.raises(page.PageError, match=r"page\.md"):
+        with pytest.raises(PageError, match=r"page\.md"):
             page.write(target, [])
 
 

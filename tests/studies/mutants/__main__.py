@@ -16,6 +16,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from tests.studies.command import ended
 from tests.studies.mutants.judge import ROOT, BaselineError, Judge, Tree, digest
 from tests.studies.mutants.results import (
     SURVIVED,
@@ -128,11 +129,4 @@ def _print(text: str) -> None:
 
 if __name__ == "__main__":
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        sys.exit(main())
-    except BaselineError as error:
-        sys.stderr.write(f"{error}\n")
-        sys.exit(1)
-    except KeyboardInterrupt:
-        sys.stderr.write("stopped; the same command continues\n")
-        sys.exit(130)
+    sys.exit(ended(main, BaselineError))

@@ -5,11 +5,12 @@ import sys
 from pathlib import Path
 
 from perfbound.schemas.platforms import one_blas_thread
+from tests.studies.command import ended
+from tests.studies.pages import PageError
 
 one_blas_thread()
 
-from tests.studies.tightness.claims import PageError  # noqa: E402  (numpy reads the setting once)
-from tests.studies.tightness.curves import NORMS, SEEDS, curve, worst  # noqa: E402
+from tests.studies.tightness.curves import NORMS, SEEDS, curve, worst  # noqa: E402  (numpy reads the setting once)
 from tests.studies.tightness.page import summary, table, write  # noqa: E402
 from tests.studies.tightness.rollouts import record, subject  # noqa: E402
 
@@ -40,11 +41,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main())
-    except PageError as error:
-        sys.stderr.write(f"{error}\n")
-        sys.exit(1)
-    except KeyboardInterrupt:
-        sys.stderr.write("stopped; the same command continues\n")
-        sys.exit(130)
+    sys.exit(ended(main, PageError))

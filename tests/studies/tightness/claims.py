@@ -3,6 +3,8 @@
 import re
 from typing import NamedTuple
 
+from tests.studies.pages import PageError
+
 NUMBER = r"-?\d[\d,]*\.?\d*"
 OTHERS = {
     "printed, Theorem 2": "segway-paper",
@@ -13,10 +15,6 @@ OTHERS = {
     "segway-scenario": "segway-scenario",
 }
 """Rows of the table, and the row that has their number of true rollouts: the paper prints none."""
-
-
-class PageError(ValueError):
-    """The page lacks what is read from it."""
 
 
 class Claim(NamedTuple):

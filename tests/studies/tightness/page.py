@@ -10,7 +10,8 @@ from typing import Any
 from perfbound.orchestrator.report import style
 from perfbound.orchestrator.report.paper.table_text import markdown
 from perfbound.schemas import atomic
-from tests.studies.tightness.claims import PageError, other_claims
+from tests.studies.pages import page_text, with_part
+from tests.studies.tightness.claims import other_claims
 from tests.studies.tightness.curves import Curve, Worst
 from tests.studies.tightness.figure import figure
 
@@ -80,17 +81,11 @@ def write(page: Path, curves: Sequence[Curve], truth: Worst, recorded: int, reco
         PageError: the page cannot be read, or lacks the marks or a claim.
 
     """
-    try:
-        text = page.read_text(encoding="utf-8")
-    except OSError as error:
-        raise PageError(f"{page}: {error.strerror}; give --write an existing page") from error
-    if BEGIN not in text or END not in text:
-        raise PageError(f"{page} has no lines '{BEGIN}' and '{END}': put them where the table belongs")
+    text = page_text(page, (BEGIN, END))
     drawn = style.png(figure(curves, truth, other_claims(text)))
-    before, after = text.split(BEGIN)[0], text.split(END)[1]
     numbers = summary(curves, truth, recorded)
     atomic.write_whole(record, record_text(numbers).encode())
-    atomic.write_whole(page, f"{before}{section(numbers)}{after}".encode())
+    atomic.write_whole(page, with_part(text, BEGIN, END, section(numbers)).encode())
     atomic.write_whole(page.parent / FIGURE, drawn)
 
 

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.studies.pages import PageError
 from tests.studies.tightness import claims, figure, page
-from tests.studies.tightness.claims import OTHERS, PageError, other_claims
+from tests.studies.tightness.claims import OTHERS, other_claims
 from tests.studies.tightness.curves import (
     BUDGETS,
     NORMS,

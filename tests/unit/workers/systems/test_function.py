@@ -134,7 +134,7 @@ def test_a_recorded_input_is_a_column_behind_those_of_the_system() -> None:
     request = template.request(RolloutId("robustness", 0, "nominal", 0), (0.5, 4.0), 7)
     trajectory = read_mcap(run_request_on(found, request, lambda _: None)).trajectory
     assert trajectory.columns == ("t", "a", "b", "u", "ended") == tuple(c.name for c in template.spec.columns)
-    # The state is held from 1 s on, and the input goes on.
+    # The state is held from 1 s on, and the input continues.
     assert trajectory.column("u").tolist() == pytest.approx([0.5, 1.0, 0.5, 0.0, 0.5])
     assert trajectory.column("a").tolist() == pytest.approx([0.5, 1.0, 0.5, 0.5, 0.5])
 
