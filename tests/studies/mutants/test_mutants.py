@@ -79,7 +79,8 @@ def test_files_that_import_the_module_come_first_then_those_of_the_rooms_above()
     ("path", "home"),
     [
         ("schemas/file/space.py", "tests/unit/schemas/file"),
-        ("workers/systems/running.py", "tests/unit/workers"),
+        ("workers/systems/running.py", "tests/unit/workers/systems"),
+        ("workers/guardian.py", "tests/unit/workers"),
         ("perfbound/library/rig.py", "tests/unit/library"),
         ("orchestrator/certificate/verify/attempts.py", "tests/unit/certificate"),
     ],
