@@ -11,11 +11,16 @@ import pytest
 from pydantic import ValidationError
 from threadpoolctl import threadpool_limits
 
+from perfbound.orchestrator.campaign.methods import methods
+from perfbound.orchestrator.campaign.observation import goal_of_search
+from perfbound.orchestrator.campaign.plan import plans
+from perfbound.orchestrator.campaign.proposals import SearchSource, proposal_source
 from perfbound.orchestrator.campaign.software import software
 from perfbound.orchestrator.campaign.starts import Draws
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.mathematics.bounds.one_law.failures import beta_mixture_upper
 from perfbound.orchestrator.mathematics.search import Falsifier
+from perfbound.orchestrator.mathematics.search.goal import ALONE
 from perfbound.orchestrator.report.collect.campaign import Collector
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import facts as recorded_facts
@@ -143,6 +148,35 @@ def test_the_parts_of_a_specification_are_recorded_and_verified(tmp_path: Path) 
         connection.execute("UPDATE rollouts SET parts = '[1.0,2.0]' WHERE test = 3 AND problem = 'robustness'")
     (failed,) = (each for each in checks(tmp_path / "one") if each.status == "failed")
     assert "robustness.3.nominal.0: parts[0] is 1.0" in failed.detail
+
+
+def test_a_part_that_decides_nothing_alone_has_the_value_of_the_whole(tmp_path: Path) -> None:
+    config = sought({"method": "sample"}, specification="value >= 0 or once[5, 6] value >= 0", max_tests=4)
+    simulate(tmp_path, config, safe, noisy=False)
+    with sqlite3.connect(tmp_path / "campaign.db") as connection:
+        rows = connection.execute("SELECT robustness, parts FROM rollouts WHERE problem = 'robustness'").fetchall()
+    assert [json.loads(parts) for _, parts in rows] == [[value, value] for value, _ in rows]
+
+
+def test_where_rollouts_are_recorded_together_the_search_has_one_model() -> None:
+    config = sought({"method": "sample"}, specification="value >= 0 and value <= 5")
+    system = spec(noisy=False)
+    assert len(goal_of_search(config, system)[1]) == 2
+    assert goal_of_search(config.model_copy(update={"batch": 4}), system) == (ALONE, ())
+    assert goal_of_search(config.model_copy(update={"falsify": None}), system) == (ALONE, ())
+
+
+def test_the_search_knows_which_parameters_are_knots_of_one_input() -> None:
+    box = {"low": 0.0, "high": 1.0}
+    space = {"z1": box, "z2": box | {"signal": "linear", "knots": 3}}
+    config = sought({"method": "sample"}, space=space, horizon=1.0)
+    z1, z2 = spec(noisy=False).parameters
+    system = spec(noisy=False).model_copy(update={"parameters": (z1, z2.model_copy(update={"signal": True}))})
+    header = Header.new(config, system, {})
+    found = plans(config, header.spec)
+    source = proposal_source(found["robustness"], methods(found, header)["robustness"], header)
+    assert isinstance(source, SearchSource)
+    assert source._search._inputs._follows.tolist() == [False, False, True, True]
 
 
 @pytest.mark.rest

@@ -146,6 +146,23 @@ def test_while_nothing_improves_one_of_four_is_elsewhere() -> None:
     assert proposed(0.5) != proposed(5.0)
 
 
+def test_the_third_start_is_the_middle_where_values_differ() -> None:
+    assert searched(3)[1][2] == (0.5, 10.5, 5e-4)
+
+
+def test_the_unit_of_a_part_changes_no_proposal() -> None:
+    def proposed(unit: float) -> list[Point]:
+        search, points = Falsifier(LOW, HIGH, seed=1, goal=Every((Part(0), Part(1)))), list[Point]()
+        for _ in range(16):
+            points.append(search.propose())
+            parts = 1.0 + points[-1][0] ** 2, unit * bowl(points[-1])
+            search.observe(points[-1], bowl(points[-1]), parts)
+        return points
+
+    # By a power of two, which rounds nothing.
+    assert proposed(1.0) == proposed(2.0**10)
+
+
 def test_knots_of_an_input_hold_the_value_of_the_one_before() -> None:
     inputs, rng = Inputs(7, signals=[(1, 2, 3, 4)]), np.random.default_rng(0)
     held = inputs.held(rng, rng.random((400, 7)), np.ones((400, 1)))

@@ -48,6 +48,7 @@ from tests.unit.mathematics.stl.test_brute import NAMES, draw_case, seeds
         ),
         ("eventually (x > 1 and y > 1)", ALONE, ["eventually (x > 1 and y > 1)"]),
         ("historically (x < 1 and y < 1)", Every((Part(0), Part(1))), ["historically x < 1", "historically y < 1"]),
+        ("once (x > 1 or y > 1)", Some((Part(0), Part(1))), ["once x > 1", "once y > 1"]),
     ],
 )
 def test_the_parts_of(formula: str, goal: Goal, parts: list[str]) -> None:
