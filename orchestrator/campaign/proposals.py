@@ -1,7 +1,6 @@
 """Where the tests of a problem come from: its method, or a search for a counterexample."""
 
 from collections.abc import Sequence
-from operator import itemgetter
 from typing import Protocol
 
 import numpy as np
@@ -168,9 +167,10 @@ class SearchSource:
         proposal = series.last_proposal
         assert proposal is not None
         assert isinstance(fact, ObservationFact)
-        # The worst, not the mean: one rollout below 0 is the counterexample.
+        # The worst, not the mean: one rollout below 0 is the counterexample. Of equal ones the least parts, not the
+        # first that arrived: the order of arrival depends on the workers.
         scored = ((each.robustness, each.parts) for each in series.last_rollouts if each.robustness is not None)
-        worst, parts = min(scored, key=itemgetter(0), default=(LARGEST, ()))
+        worst, parts = min(scored, default=(LARGEST, ()))
         # A drawn start may have a disturbance beyond what a search chooses.
         x = tuple(np.clip(proposal.x, *self._space.box).tolist())
         self._search.observe(x, clipped(worst, LIMITS), parts)

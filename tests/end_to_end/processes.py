@@ -201,6 +201,28 @@ def under_way(directory: Path) -> list[tuple[object, ...]]:
     )
 
 
+def catch(directory: Path, when: Callable[[], bool]) -> tuple[str, psutil.Process]:
+    """Stop a worker in the middle of a rollout, on its first attempt; return the rollout and the stopped process."""
+    while True:
+        wait_for(lambda: when() and under_way(directory))
+        # Not the first of a campaign or of a gap pair: without a known time grid it is simulated again in any case.
+        if not (busy := [each for each in under_way(directory) if each[1] == 1 and "gap.0." not in str(each[0])]):
+            continue
+        rollout, _, _, pid = busy[0]
+        assert isinstance(pid, int)
+        worker, count = psutil.Process(pid), recorded(directory)
+        worker.suspend()
+        # Its result may be on its way already: two later ones of the other worker would come behind it.
+        wait_for(lambda name=str(rollout), least=count + 2: attempts(directory, name) or recorded(directory) >= least)  # type: ignore[misc]
+        if not attempts(directory, str(rollout)):
+            return str(rollout), worker
+        worker.resume()
+
+
+def attempts(directory: Path, rollout: str) -> list[tuple[object, ...]]:
+    return query(directory, f"SELECT attempt, outcome FROM outcomes WHERE rollout = '{rollout}' ORDER BY attempt")
+
+
 def of_run(directory: Path) -> list[psutil.Process]:
     """Return the processes that belong to a run: their command line contains its id or its directory."""
     marks = [str(directory), *(str(row[0]) for row in query(directory, "SELECT run FROM campaign"))]

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import pytest
+import scipy.linalg  # noqa: F401  (before the limit of threads, which holds for what is loaded)
 from threadpoolctl import threadpool_limits
 
 from perfbound.orchestrator.mathematics.search import Falsifier

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.linalg  # noqa: F401  (before the limit of threads, which holds for what is loaded)
 from pydantic import ValidationError
 from threadpoolctl import threadpool_limits
 
@@ -148,6 +149,25 @@ def test_the_parts_of_a_specification_are_recorded_and_verified(tmp_path: Path) 
         connection.execute("UPDATE rollouts SET parts = '[1.0,2.0]' WHERE test = 3 AND problem = 'robustness'")
     (failed,) = (each for each in checks(tmp_path / "one") if each.status == "failed")
     assert "robustness.3.nominal.0: parts[0] is 1.0" in failed.detail
+
+
+def test_of_equally_bad_rollouts_the_order_of_arrival_changes_no_start(tmp_path: Path) -> None:
+    # The clip makes the rollouts of a test equal, whose parts are not.
+    config = sought({"method": "sample"}, specification="value >= -2 and value <= 9", replicates=2, max_tests=24)
+    for name in ("kept", "swapped"):
+        simulate(tmp_path / name, config, shaky, noisy=True, stop=lambda request: request.test > 9)
+        if name == "swapped":
+            with editing(tmp_path / name) as connection:
+                rows = connection.execute("SELECT MIN(seq), MAX(seq) FROM rollouts GROUP BY test").fetchall()
+                for first, last in [each for each in rows if each[0] < each[1]]:
+                    for old, new in ((first, -1), (last, first), (-1, last)):
+                        connection.execute("UPDATE rollouts SET seq = ? WHERE seq = ?", (new, old))
+        simulate(tmp_path / name, config, shaky, noisy=True)
+    with sqlite3.connect(tmp_path / "kept" / "campaign.db") as connection:
+        values = connection.execute("SELECT COUNT(DISTINCT robustness), COUNT(DISTINCT parts) FROM rollouts").fetchone()
+    assert values == (1, 48)
+    assert proposals(tmp_path / "kept") == proposals(tmp_path / "swapped")
+    assert verified(tmp_path / "swapped") == []
 
 
 def test_a_part_that_decides_nothing_alone_has_the_value_of_the_whole(tmp_path: Path) -> None:
