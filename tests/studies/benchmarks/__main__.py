@@ -36,6 +36,7 @@ from tests.studies.benchmarks.parts import (  # noqa: E402  (numpy reads the set
     rollout,
     routing,
     scenario,
+    search,
     stl,
     throughput,
 )
@@ -50,6 +51,7 @@ PARTS = (
     "scenario",
     "kriging",
     "observing",
+    "search",
     "falsification",
     "requirements",
     "stl",
@@ -121,6 +123,7 @@ def measure(part: str, peers: dict[str, Any], *, alone: bool) -> list[report.Row
         "scenario": scenario.main,
         "kriging": kriging.main,
         "observing": observing.main,
+        "search": search.main,
         "requirements": requirements.main,
         "rollout": rollout.main,
         "forms": forms.main,
