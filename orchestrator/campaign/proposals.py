@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ...schemas.file.parameters import signal_shapes
+from ...schemas.file.parameters import knots_alike
 from ...schemas.file.problem_models import Falsify
 from ...schemas.result.block_facts import BlockObservationFact, Floats, Integers
 from ...schemas.result.facts import Header, ObservationFact
@@ -121,11 +121,7 @@ class SearchSource:
             seed=seed,
             random_every=falsify.random_every,
             admitted=self._region,
-            signals=[
-                [plan.parameters.index(name) for name in shape.names]
-                for shape in signal_shapes(header.config.space)
-                if shape.knots_alike
-            ],
+            signals=knots_alike(header.config.space, plan.parameters),
             goal=goal_of_search(header.config, header.spec)[0],
         )
 
