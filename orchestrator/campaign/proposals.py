@@ -15,8 +15,8 @@ from ..mathematics.bounds.sample import SampleMethod
 from ..mathematics.gp.points import point_at
 from ..mathematics.search import Falsifier
 from .methods import ProblemMethod
-from .objectives import LARGEST, clipped
-from .observation import LIMITS, goal_of_search
+from .objectives import LARGEST
+from .observation import for_search, goal_of_search
 from .plan import ProblemPlan
 from .region import Start, condition
 from .seeds import first_node, uniform
@@ -115,6 +115,7 @@ class SearchSource:
         seed = int(uniform(header, f"{plan.name}.search", range(1), 1)[0, 0] * 2**53)
         # Ends of a range that are equal: a parameter that never changes, in a box that has to have an inside.
         high = np.where(high > low, high, low + 1.0)
+        self._goal, self._has_scale = goal_of_search(header.config, header.spec)[0], falsify.scale is not None
         self._search = Falsifier(
             low.tolist(),
             high.tolist(),
@@ -122,7 +123,7 @@ class SearchSource:
             random_every=falsify.random_every,
             admitted=self._region,
             signals=knots_alike(header.config.space, plan.parameters),
-            goal=goal_of_search(header.config, header.spec)[0],
+            goal=self._goal,
         )
 
     def propose(self, series: Series, test: int) -> Proposal:
@@ -169,7 +170,7 @@ class SearchSource:
         worst, parts = min(scored, key=itemgetter(0), default=(LARGEST, ()))
         # A drawn start may have a disturbance beyond what a search chooses.
         x = tuple(np.clip(proposal.x, *self._space.box).tolist())
-        self._search.observe(x, clipped(worst, LIMITS), parts)
+        self._search.observe(x, *for_search(self._goal, worst, parts, has_scale=self._has_scale))
         if self._plan.is_evidence(fact.test):
             return self._method.observe(proposal, fact.observation)
         # A start that was chosen by the outcomes before it is no sample: the bound is that of the samples so far.

@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..orchestrator.campaign.observation import LIMITS, Observer, goal_of_search
+from ..orchestrator.campaign.checks import check_scale
+from ..orchestrator.campaign.observation import LIMITS, Observer, for_search, goal_of_search
 from ..orchestrator.campaign.region import Start, condition
 from ..orchestrator.campaign.starts import Ranges, check_where
 from ..orchestrator.mathematics.search import Falsifier
@@ -48,7 +49,8 @@ class Search:
 
     `space` has the ranges of `pb.Campaign`: (low, high), steps, choices, `where`, and inputs over time, which need the
     `horizon` in s and are `InputSignal` in a start. With `specification` a trajectory is told in place of a margin, and
-    each part of the formula has a model of its own; `discrete` and `beyond` are those of `pb.robustness`.
+    each part of the formula has a model of its own; `discrete` and `beyond` are those of `pb.robustness`. `scale` has
+    the usual range of each column, as in `falsify`: it compares predicates inside one part.
 
     The same seed, and the same calls in the same order, give the same starts on one machine. Several starts may be
     asked for before the first one is told, also by several threads. Inside, BLAS uses one thread.
@@ -75,8 +77,10 @@ class Search:
         horizon: float = 0.0,
         discrete: Collection[str] = (),
         beyond: Beyond = "refuse",
+        scale: Mapping[str, float] | None = None,
     ) -> None:
-        keys = {"space": space, "seed": seed, "horizon": horizon, "beyond": beyond}
+        falsify = {} if scale is None else {"scale": scale}
+        keys = {"space": space, "seed": seed, "horizon": horizon, "beyond": beyond, "falsify": falsify}
         config = _config(keys, specification, discrete)
         assert isinstance(config.space, dict)
         self._spec = _spec(config)
@@ -87,16 +91,16 @@ class Search:
         if config.where is not None:
             check_where(config.space, config.where, "Search")
         self._region, self._seed = condition(config.where, self._names), config.seed
-        try:
-            self._observer = Observer(config, self._spec)
-        except ValueError as error:
-            raise CampaignError(f"Search: specification: {error}") from None
+        if specification is not None:
+            _check_formula(config, self._spec, specification)
+        self._observer, self._has_scale = Observer(config, self._spec), scale is not None
+        self._goal = goal_of_search(config, self._spec)[0]
         self._falsifier = Falsifier(
             *(ends.tolist() for ends in self._allowed.box),
             seed=config.seed,
             admitted=self._region,
             signals=knots_alike(config.space, self._names),
-            goal=goal_of_search(config, self._spec)[0],
+            goal=self._goal,
         )
         self._open: list[tuple[dict[str, Any], Start]] = []
         self._worst: tuple[Start, float] | None = None
@@ -202,7 +206,7 @@ class Search:
                     "a trajectory needs a formula: give `specification` to pb.Search, or tell a margin"
                 )
             margin, parts = _number(outcome, "the margin"), ()
-        self._falsifier.observe(x, float(np.clip(margin, *LIMITS)), parts)
+        self._falsifier.observe(x, *for_search(self._goal, margin, parts, has_scale=self._has_scale))
         if self._worst is None or margin < self._worst[1]:
             self._worst = x, margin
         return margin
@@ -229,6 +233,8 @@ class Search:
 
 def _config(keys: Mapping[str, Any], specification: str | None, discrete: Collection[str]) -> CampaignConfig:
     """Return the campaign with this search: of a rig that has the columns of the specification."""
+    if specification is None and keys["falsify"]:
+        raise CampaignError("Search: scale: is about the predicates of a specification; give one, or leave it out")
     if not isinstance(keys["space"], Mapping):
         raise CampaignError("Search: space: give the range of each parameter, {'gap': (20, 50)}")
     names = {MARGIN} if specification is None else _columns(specification)
@@ -240,7 +246,6 @@ def _config(keys: Mapping[str, Any], specification: str | None, discrete: Collec
         "specification": f"{MARGIN} >= 0" if specification is None else specification,
         "method": "sample",
         "clip": LIMITS,
-        "falsify": {},
         "system": {"rig": "search", "columns": {name: DISCRETE if name in discrete else "" for name in named}},
     }
     config = parse_campaign(toml({**table, **keys}, "Search").encode(), "Search")
@@ -254,6 +259,16 @@ def _columns(specification: str) -> frozenset[str]:
         return columns(parse_formula(specification))
     except ValueError as error:
         raise CampaignError(f"Search: specification: {error}") from None
+
+
+def _check_formula(config: CampaignConfig, spec: SystemSpec, specification: str) -> None:
+    """Refuse a formula that compares whole numbers of no discrete column, and a scale that does not fit it."""
+    try:
+        tree = parse_formula(specification, spec.units)
+    except ValueError as error:
+        raise CampaignError(f"Search: specification: {error}") from None
+    if config.falsify is not None and config.falsify.scale is not None:
+        check_scale(config.falsify.scale, tree, "Search")
 
 
 def _spec(config: CampaignConfig) -> SystemSpec:

@@ -4,7 +4,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from ..base import Model
+from ..base import Model, key_if_given
 from .objectives import OBJECTIVES, MethodName, ProblemName, Sense, any_of
 
 # The kernel and the regulariser of a problem in the campaign file
@@ -320,6 +320,9 @@ PROBLEM_MODELS: dict[MethodName, type[_Problem]] = {
 # The search for a counterexample
 
 
+Scale = Annotated[float, Field(ge=1e-100, le=1e100)]
+
+
 class Falsify(Model):
     """Where tests come from while a start is sought at which the system fails; an empty table takes every default."""
 
@@ -352,6 +355,11 @@ class Falsify(Model):
         "enter no claim",
     )
 
+    scale: dict[str, Scale] | None = key_if_given(
+        "what the robustness of each predicate is divided by in the search alone, by its column: its usual range; of "
+        "several columns the largest",
+        min_length=1,
+    )
     shrink: bool = Field(
         default=False,
         exclude_if=lambda shrink: not shrink,

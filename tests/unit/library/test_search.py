@@ -122,6 +122,22 @@ def test_the_parts_of_a_specification_have_their_models(monkeypatch: pytest.Monk
     assert made == [Every((Part(0), Part(1))), (-0.5, (2.0, -0.5))]
 
 
+def test_a_scale_compares_the_predicates_of_one_part(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[Any] = []
+
+    class Kept(Falsifier):
+        def observe(self, *told: Any) -> None:
+            made.append(told[1:])
+            super().observe(*told)
+
+    monkeypatch.setattr(module, "Falsifier", Kept)
+    formula = "always (speed < 120 or rpm < 4750)"
+    search = pb.Search(SPACE, specification=formula, scale={"speed": 100, "rpm": 5000})
+    assert search.tell(search.ask(), {"speed": [100.0], "rpm": [5250.0]}) == 20.0, "the margin is the plain one"
+    assert search.tell(search.ask(), {"speed": [130.0], "rpm": [5250.0]}) == -10.0
+    assert made == [(0.2, ()), (-0.1, ())]
+
+
 def test_windows_may_end_with_the_trajectory() -> None:
     short = {"t": [0.0, 1.0], "x": [1.0, 2.0]}
     with pytest.raises(pb.PerfboundError, match="the trajectory: "):
@@ -227,6 +243,9 @@ def test_a_known_start_that_is_none_is_refused(start: Any, words: str) -> None:
         ({"space": {**SPACE, "where": "gap > 50"}}, "Search: space.where: 0 of"),
         ({"space": SPACE, "seed": -1}, "Search: seed: -1"),
         ({"space": SPACE, "specification": "always (x <"}, "Search: specification: "),
+        ({"space": SPACE, "scale": {"x": 1}}, "Search: scale: specification"),
+        ({"space": SPACE, "specification": "x < 1", "scale": {"y": 1}}, "Search: falsify.scale.y: no predicate"),
+        ({"space": SPACE, "specification": "x < 1", "scale": {"x": 0}}, "Search: falsify.scale.x: 0"),
         ({"space": SPACE, "specification": "gear == 1"}, "Search: specification: 'gear' discrete"),
     ],
 )
