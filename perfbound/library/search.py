@@ -32,6 +32,7 @@ from .process import reproducible
 
 MARGIN = "margin"
 """The only column where no specification is given: the number that is told."""
+NO_BOX = "Search: space: a search is over ranges; give that of each parameter, {'gap': (20, 50)}"
 BLOCK, BLOCKS = 1024, 1000
 """Random starts that are drawn together, and how often, until one is in the region."""
 
@@ -235,8 +236,8 @@ def _config(keys: Mapping[str, Any], specification: str | None, discrete: Collec
     """Return the campaign with this search: of a rig that has the columns of the specification."""
     if specification is None and keys["falsify"]:
         raise CampaignError("Search: scale: is about the predicates of a specification; give one, or leave it out")
-    if not isinstance(keys["space"], Mapping):
-        raise CampaignError("Search: space: give the range of each parameter, {'gap': (20, 50)}")
+    if not isinstance(keys["space"], Mapping) or "scenarios" in keys["space"]:
+        raise CampaignError(NO_BOX)
     names = {MARGIN} if specification is None else _columns(specification)
     inputs = {name for name, each in keys["space"].items() if isinstance(each, Mapping) and each.keys() & OVER_TIME}
     # Of a formula about inputs alone any column: a rig has one.
@@ -250,7 +251,7 @@ def _config(keys: Mapping[str, Any], specification: str | None, discrete: Collec
     }
     config = parse_campaign(toml({**table, **keys}, "Search").encode(), "Search")
     if not isinstance(config.space, dict):
-        raise CampaignError("Search: space: a list has its starts; give the range of each parameter, {'gap': (20, 50)}")
+        raise CampaignError(NO_BOX)
     return config
 
 

@@ -320,9 +320,6 @@ PROBLEM_MODELS: dict[MethodName, type[_Problem]] = {
 # The search for a counterexample
 
 
-Scale = Annotated[float, Field(ge=1e-100, le=1e100)]
-
-
 class Falsify(Model):
     """Where tests come from while a start is sought at which the system fails; an empty table takes every default."""
 
@@ -355,7 +352,7 @@ class Falsify(Model):
         "enter no claim",
     )
 
-    scale: dict[str, Scale] | None = key_if_given(
+    scale: dict[str, Annotated[float, Field(gt=0)]] | None = key_if_given(
         "what the robustness of each predicate is divided by in the search alone, by its column: its usual range; of "
         "several columns the largest",
         min_length=1,

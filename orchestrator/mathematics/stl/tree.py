@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 ArithmeticOperator = Literal["+", "-", "*", "/", "^"]
 FunctionName = Literal["max", "min", "sqrt", "sin", "cos", "tan", "exp", "log"]
@@ -309,4 +309,5 @@ def with_predicates(tree: Formula, other: Callable[[Comparison], Formula]) -> Fo
     """Return `tree` with another formula in the place of each predicate."""
     if isinstance(tree, Comparison):
         return other(tree)
-    return replace(tree, **{part: with_predicates(getattr(tree, part), other) for part in _PARTS[type(tree)]})
+    changed: dict[str, Any] = {part: with_predicates(getattr(tree, part), other) for part in _PARTS[type(tree)]}
+    return replace(tree, **changed)

@@ -233,11 +233,12 @@ def test_a_known_start_that_is_none_is_refused(start: Any, words: str) -> None:
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        ({"space": [[1.0, 2.0]]}, "Search: space: give the range of each parameter"),
-        ({"space": {"scenarios": [[1.0], [2.0]]}}, "Search: method"),
+        ({"space": [[1.0, 2.0]]}, "Search: space: give that of each parameter"),
+        ({"space": {"scenarios": [[1.0], [2.0]]}}, "Search: space: give that of each parameter"),
+        ({"space": {"table": [[1.0], [2.0]]}}, "Search: space: give that of each parameter"),
         ({"space": {}}, "Search: space: "),
         ({"space": {"gap": (50, 20)}}, "Search: space.gap.low: 50"),
-        ({"space": {"gap": float("nan")}}, "Search: space.gap: nan"),
+        ({"space": {"mass": float("nan")}}, "Search: space.mass: nan"),
         ({"space": {"Gap": (20, 50)}}, "space: write gap for 'Gap'"),
         ({"space": INPUT}, "Search: space.throttle.signal: give horizon"),
         ({"space": {**SPACE, "where": "gap > 50"}}, "Search: space.where: 0 of"),
