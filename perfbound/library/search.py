@@ -162,7 +162,7 @@ class Search:
         """Return the numbers (p,) of a start from outside."""
         if not isinstance(start, Mapping):
             raise PerfboundError(f"add: {shortened(repr(start), 60)} is no start; give a number by parameter")
-        if unknown := next((name for name in start if name not in self._names), ""):
+        if unknown := next((str(name) for name in start if name not in self._names), ""):
             known = f"{meant(unknown, self._names)}known are {', '.join(self._names)}"
             raise PerfboundError(f"add: {unknown}: there is no such parameter; {known}")
         x = []
