@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from .library.run import open_run as open  # noqa: A004  (as os.open: read with its package)
     from .library.run import resume_run as resume
     from .library.run import robustness
+    from .library.search import Search
     from .results import read_certificate, read_trajectory
     from .schemas import __version__
     from .schemas.errors import PerfboundError
@@ -53,6 +54,7 @@ __all__ = [
     "Parameter",
     "PerfboundError",
     "Rig",
+    "Search",
     "SimulationError",
     "SystemSpec",
     "SystemUnderTest",
@@ -76,6 +78,7 @@ _HOMES = {
     "Campaign": ".library.campaign",
     "PerfboundError": ".schemas.errors",
     "Rig": ".library.rig",
+    "Search": ".library.search",
     "__version__": ".schemas",
     "open": ".library.run:open_run",
     "read_certificate": ".results",

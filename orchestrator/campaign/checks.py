@@ -8,7 +8,7 @@ import numpy as np
 
 from ...schemas.amounts import amount
 from ...schemas.batch import MOST_NUMBERS, largest_batch
-from ...schemas.errors import CampaignError, check_all
+from ...schemas.errors import CampaignError, check_all, meant
 from ...schemas.file.against_system import as_in_campaign, check_against
 from ...schemas.file.config import CampaignConfig
 from ...schemas.file.keys import CampaignKeys
@@ -24,8 +24,10 @@ from ...schemas.system import SystemSpec
 from ..mathematics.bounds.cost import BLOCKS, LARGEST_MEMORY, LARGEST_PLAN, MethodSize, most
 from ..mathematics.bounds.kriging.design import GRID_PARAMETERS, points_per_parameter
 from ..mathematics.gp.kernels import Matern
+from ..mathematics.search.goal import without_scale
 from ..mathematics.stl.horizon import check_horizon
-from ..mathematics.stl.parser import FormulaError, columns, parse_formula
+from ..mathematics.stl.parser import Formula, FormulaError, columns, parse_formula
+from ..mathematics.stl.text import excerpt
 from .objectives import LARGEST
 from .plan import is_controlled
 from .starts import check_distributions, check_where
@@ -136,6 +138,27 @@ def _check_specification(config: CampaignConfig, spec: SystemSpec, source: str) 
         _check_gap(config, known, columns(formula), source)
     except FormulaError as error:
         raise CampaignError(f"{source}: specification: {error}") from None
+    if config.falsify is not None and config.falsify.scale is not None:
+        check_scale(config.falsify.scale, formula, source)
+
+
+def check_scale(scale: Mapping[str, float], formula: Formula, source: str) -> None:
+    """Refuse a scale of columns that the formula does not read, or of none of a predicate.
+
+    Raises:
+        CampaignError: one line with the source and the column.
+
+    """
+    read = sorted(columns(formula))
+    if unknown := next((name for name in scale if name not in read), ""):
+        near = meant(unknown, read)
+        raise CampaignError(
+            f"{source}: falsify.scale.{unknown}: no predicate reads this column; {near}these are read: "
+            f"{', '.join(read)}"
+        )
+    if (predicate := without_scale(formula, scale)) is not None:
+        missing = ", ".join(sorted(columns(predicate)))
+        raise CampaignError(f"{source}: falsify.scale: `{excerpt(predicate)}` has none; give that of {missing}")
 
 
 def _check_gap(config: CampaignConfig, known: Collection[str], read: frozenset[str], source: str) -> None:

@@ -22,7 +22,7 @@ from ...schemas.trajectory.reduced import Scores
 from ...schemas.trajectory.trajectory import Trajectory
 from ...schemas.values import Observation
 from ..mathematics.bounds.one_law.risk import linearised
-from ..mathematics.search.goal import ALONE, Goal, goal_of
+from ..mathematics.search.goal import ALONE, Goal, goal_of, margins, scaled
 from ..mathematics.stl.parser import Formula, parse_formula
 from ..mathematics.stl.predicates import predicate_sup
 from ..mathematics.stl.robustness import Evaluated, evaluated_each
@@ -53,12 +53,27 @@ class Score(NamedTuple):
 
 
 def goal_of_search(config: CampaignConfig, spec: SystemSpec) -> tuple[Goal, tuple[Formula, ...]]:
-    """Return the goal of the search of a campaign, and the parts that are recorded: none where it has one model."""
+    """Return the goal of the search of a campaign, and the parts that are recorded: none where it models the whole."""
     # Of a batch the scores of the whole are recorded, in columns.
     if config.falsify is None or config.formula is None or config.batch > 1:
         return ALONE, ()
-    goal, parts = goal_of(parse_formula(config.formula, spec.units))
-    return goal, parts if len(parts) > 1 else ()
+    tree, scale = parse_formula(config.formula, spec.units), config.falsify.scale
+    goal, parts = goal_of(tree if scale is None else scaled(tree, scale))
+    return goal, parts if len(parts) > 1 or scale else ()
+
+
+def for_search(
+    goal: Goal, robustness: float, parts: tuple[float, ...], *, has_scale: bool
+) -> tuple[float, tuple[float, ...]]:
+    """Return what the search of a campaign observes of the score of a rollout: the whole, and each of several parts.
+
+    With a scale the whole is that of the parts, whose predicates are divided by it; the signs are the same.
+
+    >>> for_search(ALONE, -2000.0, (-0.4,), has_scale=True)
+    (-0.4, ())
+    """
+    whole = float(margins(goal, np.array([parts]))[0]) if has_scale and parts else robustness
+    return objectives.clipped(whole, LIMITS), parts if len(parts) > 1 else ()
 
 
 class Observer:

@@ -5,7 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ...schemas.file.parameters import signal_shapes
+from ...schemas.file.parameters import knots_alike
 from ...schemas.file.problem_models import Falsify
 from ...schemas.result.block_facts import BlockObservationFact, Floats, Integers
 from ...schemas.result.facts import Header, ObservationFact
@@ -14,8 +14,8 @@ from ..mathematics.bounds.sample import SampleMethod
 from ..mathematics.gp.points import point_at
 from ..mathematics.search import Falsifier
 from .methods import ProblemMethod
-from .objectives import LARGEST, clipped
-from .observation import LIMITS, goal_of_search
+from .objectives import LARGEST
+from .observation import for_search, goal_of_search
 from .plan import ProblemPlan
 from .region import Start, condition
 from .seeds import first_node, uniform
@@ -114,18 +114,15 @@ class SearchSource:
         seed = int(uniform(header, f"{plan.name}.search", range(1), 1)[0, 0] * 2**53)
         # Ends of a range that are equal: a parameter that never changes, in a box that has to have an inside.
         high = np.where(high > low, high, low + 1.0)
+        self._goal, self._has_scale = goal_of_search(header.config, header.spec)[0], falsify.scale is not None
         self._search = Falsifier(
             low.tolist(),
             high.tolist(),
             seed=seed,
             random_every=falsify.random_every,
             admitted=self._region,
-            signals=[
-                [plan.parameters.index(name) for name in shape.names]
-                for shape in signal_shapes(header.config.space)
-                if shape.knots_alike
-            ],
-            goal=goal_of_search(header.config, header.spec)[0],
+            signals=knots_alike(header.config.space, plan.parameters),
+            goal=self._goal,
         )
 
     def propose(self, series: Series, test: int) -> Proposal:
@@ -173,7 +170,7 @@ class SearchSource:
         worst, parts = min(scored, default=(LARGEST, ()))
         # A drawn start may have a disturbance beyond what a search chooses.
         x = tuple(np.clip(proposal.x, *self._space.box).tolist())
-        self._search.observe(x, clipped(worst, LIMITS), parts)
+        self._search.observe(x, *for_search(self._goal, worst, parts, has_scale=self._has_scale))
         if self._plan.is_evidence(fact.test):
             return self._method.observe(proposal, fact.observation)
         # A start that was chosen by the outcomes before it is no sample: the bound is that of the samples so far.

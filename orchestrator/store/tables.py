@@ -89,7 +89,7 @@ rollouts = Table(
     Column("ended_of", LargeBinary),  # float64, NaN where it did not end
     Column("kept_of", LargeBinary),  # a byte each: whether the file has its samples; NULL where it has all of them
     Column("failures", Text),  # place in the batch and reason of each failed rollout, JSON
-    Column("parts", Text),  # robustness of each part that a search has a model of, JSON; NULL where it has one model
+    Column("parts", Text),  # robustness of each part that a search has a model of, JSON; NULL where it models the whole
     # The retry of a rollout that failed in a batch is a batch of its own, perhaps with the same first rollout.
     UniqueConstraint("problem", "test", "variant", "replicate", "places"),
     ForeignKeyConstraint(["problem", "block"], ["tests.problem", "tests.test"]),

@@ -16,7 +16,7 @@ from ..schemas.system import SystemSpec
 from ..schemas.trajectory.trajectory import Trajectory
 from ..workers.handed_in import constants_of, file_of, whole
 from ..workers.logs.read import LogReader
-from ..workers.systems.function import as_samples
+from ..workers.systems.function import as_samples, as_trajectory
 
 
 def admitted(
@@ -96,3 +96,15 @@ def _columns_of_frame(data: Any) -> dict[str, object]:
     except Exception as fault:  # noqa: BLE001  (of a library that is not known)
         reason = shortened(f"{type(fault).__name__}: {fault}")
         raise EvidenceError(f"{type(data).__name__}: its columns cannot be read ({reason}); give a dict") from None
+
+
+def of_columns(given: Trajectory | Mapping[str, Any]) -> Trajectory:
+    """Return a trajectory that may be given by its columns, (T,) each; without `t` it is one sample.
+
+    Raises:
+        SimulationError: the columns are none.
+
+    """
+    if isinstance(given, Trajectory):
+        return given
+    return as_trajectory(given, ("t", *(name for name in given if name != "t")), None)

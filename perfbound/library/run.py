@@ -327,11 +327,9 @@ def robustness(
     """
     from ..orchestrator.mathematics.stl.parser import parse_formula  # noqa: PLC0415
     from ..orchestrator.mathematics.stl.robustness import robustness as evaluated  # noqa: PLC0415
-    from ..workers.systems.function import as_trajectory  # noqa: PLC0415
+    from .handed_in import of_columns  # noqa: PLC0415
 
-    if not isinstance(trajectory, Trajectory):
-        columns = ("t", *(name for name in trajectory if name != "t"))
-        trajectory = as_trajectory(trajectory, columns, None)
+    trajectory = of_columns(trajectory)
     try:
         units = {name: DISCRETE if name in discrete else "" for name in trajectory.columns}
         return evaluated(parse_formula(specification, units), trajectory.columns, trajectory.samples, beyond)

@@ -77,6 +77,8 @@ def _rules_of_claims(config: CampaignKeys) -> Iterator[Callable[[], None]]:
         yield partial(_check_until_counterexample, config, config.problems[0])
     if config.falsify is not None and config.falsify.over == "disturbances":
         yield partial(_check_over, config, config.problems[0])
+    if config.falsify is not None and config.falsify.scale is not None:
+        yield partial(_check_scale, config)
     if config.on_refuted == "stop":
         yield partial(_check_on_refuted, config)
     if config.regions:
@@ -181,6 +183,12 @@ def _check_until_counterexample(config: CampaignKeys, problem: Problem) -> None:
         raise ValueError(
             f"clip: {list(config.clip)} must begin below 0 with until_counterexample, or it hides every violation"
         )
+
+
+def _check_scale(config: CampaignKeys) -> None:
+    """Refuse a scale of the parts of a specification where no parts are recorded."""
+    if config.batch > 1:
+        raise ValueError("falsify.scale: not with batch, of which only the robustness is recorded; remove one of them")
 
 
 def _check_over(config: CampaignKeys, problem: Problem) -> None:

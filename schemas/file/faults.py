@@ -35,6 +35,8 @@ _LENGTHS = "a number > 0, or one per parameter: { name = number, ... }"
 _WORDS = {
     ("name",): "1 to 64 of a-z, 0-9, '-' and '_', the first a letter or digit",
     ("clip",): "[low, high], two numbers",
+    ("falsify", "scale"): "a table with a number > 0 for each column, its usual range: { speed = 120, rpm = 4750 }; "
+    "`perfbound init SYSTEM --question fails` writes those of a pilot",
     ("falsify",): "a table, and falsify = {} takes every default",
     ("claims",): 'a list of tables: [{ quantity = "failure_probability" }]',
     ("claims", "drawn"): 'a table: { quantity = "failure_probability" }',

@@ -1,7 +1,7 @@
 """The ranges of `[space]`, and the parameters of a box: one for each range, and those of its input signals."""
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any
 
 from pydantic import Discriminator, Field, Tag, model_validator
@@ -269,6 +269,16 @@ def _check_parts(given: Range) -> None:
 def signal_shapes(space: object) -> tuple[SignalShape, ...]:
     """Return the input signals of a space, in its order; a list of starts has none."""
     return tuple(each for _, each in _named_shapes(space)) if isinstance(space, dict) else ()
+
+
+def knots_alike(space: object, parameters: Sequence[str]) -> list[list[int]]:
+    """Return the places among the parameters of the knots of each input that has one range for all of them.
+
+    >>> knots_alike({"u": Range(low=0.0, high=1.0, signal="linear", knots=2)}, ("v", "u_0", "u_1"))
+    [[1, 2]]
+    """
+    shapes = [each for each in signal_shapes(space) if each.knots_alike]
+    return [[parameters.index(name) for name in each.names] for each in shapes]
 
 
 def parameter_ranges(space: Box) -> Box:

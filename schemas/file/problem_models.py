@@ -4,7 +4,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from ..base import Model
+from ..base import Model, key_if_given
 from .objectives import OBJECTIVES, MethodName, ProblemName, Sense, any_of
 
 # The kernel and the regulariser of a problem in the campaign file
@@ -352,6 +352,11 @@ class Falsify(Model):
         "enter no claim",
     )
 
+    scale: dict[str, Annotated[float, Field(gt=0)]] | None = key_if_given(
+        "what the robustness of each predicate is divided by in the search alone, by its column: its usual range; of "
+        "several columns the largest",
+        min_length=1,
+    )
     shrink: bool = Field(
         default=False,
         exclude_if=lambda shrink: not shrink,

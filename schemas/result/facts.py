@@ -126,7 +126,9 @@ class RolloutFact:
     kept: bool = True
     """Whether its samples are in the file, see the key `keep`."""
     parts: tuple[float, ...] = ()
-    """The robustness of each part of the specification that a search has a model of; empty if it has one of all."""
+    """The robustness of each part of the specification that a search has a model of; empty if it has one of all.
+
+    With a scale of the search, that of each predicate is divided by it."""
 
     @property
     def violates(self) -> bool:

@@ -5,6 +5,7 @@ None of them is one of the five systems of the benchmark; with these and others 
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
 import numpy as np
 import pytest
@@ -73,6 +74,13 @@ def masked(u: np.ndarray) -> tuple[float, float]:
     return 0.05 + 0.02 * u[1], 6 * float(np.sum((u - np.array([0.2, 0.75, 0.35, 0.6])) ** 2)) - 0.1
 
 
+def rpm_or_speed(u: np.ndarray, scale: tuple[float, float]) -> float:
+    """One part, `rpm > 4750 or speed < 120`: of the larger of two margins, 1/min and m/s, the second leads to it."""
+    rpm = 2000 * math.sin(9 * u[0] + 5 * u[3]) - 300
+    speed = 60 * (4 * float(np.sum((u - np.array([0.2, 0.75, 0.35, 0.6])) ** 2)) - 0.1)
+    return max(rpm / scale[0], speed / scale[1])
+
+
 def by_chance(function: Function, dimension: int) -> float:
     """Return the median number of random starts to the first failure, from the share of 20,000."""
     starts = np.random.default_rng(0).random((20_000, dimension))
@@ -100,6 +108,14 @@ def test_a_failure_behind_a_smaller_margin_is_found() -> None:
             search.observe(point, min(parts), parts)
         found.append(search.observations + 1)
     assert float(np.median(found)) <= 20, sorted(found)
+
+
+def test_predicates_of_one_part_are_compared_by_their_scale() -> None:
+    plain, scaled = (
+        [first_failure(partial(rpm_or_speed, scale=scale), 4, seed) for seed in SEEDS]
+        for scale in ((1.0, 1.0), (2000.0, 60.0))
+    )
+    assert float(np.median(scaled)) <= 0.6 * float(np.median(plain)), (sorted(plain), sorted(scaled))
 
 
 def test_tests_in_flight_cost_the_search_little() -> None:

@@ -7,6 +7,7 @@ import pytest
 from click.testing import CliRunner
 from cryptography.hazmat.primitives.serialization import BestAvailableEncryption, Encoding, PrivateFormat
 
+import perfbound as pb
 from perfbound.orchestrator.cli.group import cli
 from perfbound.orchestrator.mathematics.stl.horizon import check_horizon
 from perfbound.orchestrator.mathematics.stl.parser import parse_formula
@@ -14,7 +15,7 @@ from perfbound.schemas.link.tls_files import check_host, check_role
 from tests.fakes.certificates import Site
 from tests.texts import Cases, refusal, rows
 from tests.unit.hosts import test_pki
-from tests.unit.library import test_campaign
+from tests.unit.library import test_campaign, test_search
 from tests.unit.mathematics.stl import test_horizon, test_text
 from tests.unit.schemas.link import test_tls_files
 from tests.unit.workers.systems import test_function
@@ -107,3 +108,7 @@ def library(_folder: Path) -> Cases:
     signatures = rows(test_function.test_a_signature_that_does_not_fit_is_refused)
     for number, (function, changes, _) in enumerate(signatures):
         yield f"a signature {number}", refusal(partial(test_function.made, function, **changes))
+    for number, (keys, _) in enumerate(rows(test_search.test_a_search_that_is_none_is_refused)):
+        yield f"a search {number}", refusal(partial(pb.Search, **keys))
+    for number, (start, _) in enumerate(rows(test_search.test_a_known_start_that_is_none_is_refused)):
+        yield f"a known start {number}", refusal(partial(pb.Search(test_search.SPACE).add, start, 1.0))

@@ -125,6 +125,9 @@ def init(_folder: Path) -> Cases:
     two = test_file.campaign(nominal=nominal, gap=gap)
     yield "two problems", campaign_text(two)
     yield "samples in batches", campaign_text(test_file.sampled(batch=256))
+    search = test_file.asking("fails")
+    scaled = replace(search, basis=replace(search.basis, scale={"x": 0.5, "t": 10.0}))
+    yield "a search with a scale", campaign_text(scaled)
     yield "questions", "\n".join(f"{name}: {each.words}" for name, each in QUESTIONS.items())
 
 

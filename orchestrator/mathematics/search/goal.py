@@ -6,17 +6,38 @@
 | rho    |          | robustness of the formula: minima and maxima of r_j                         | (n,)   | any  |
 | l_j    |          | logarithm of the probability that part j is below 0                         | (k, m) | -    |
 
+| c      | `scale`  | divides the robustness of the predicates of a column                        | ()     | any  |
+
 The smallest of several signals has a kink wherever another one becomes the smallest, and hides all others: each part is
 smoother than their minimum, and has a scale of its own.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..gp.kernels import Floats
-from ..stl.tree import Always, And, Eventually, Formula, Historically, Implies, Not, Once, Or
+from ..stl.tree import (
+    HALF,
+    Absolute,
+    Always,
+    And,
+    Arithmetic,
+    Comparison,
+    Eventually,
+    Expression,
+    Formula,
+    Historically,
+    Implies,
+    Not,
+    Number,
+    Once,
+    Or,
+    columns,
+    predicates,
+    with_predicates,
+)
 
 MOST = 8
 """Parts with models of their own; a formula with more is one part."""
@@ -81,6 +102,45 @@ def _split(tree: Formula, found: list[Formula], *, fails: bool) -> Goal:
     if part not in found:
         found.append(part)
     return Part(found.index(part))
+
+
+def scaled(tree: Formula, scale: Mapping[str, float]) -> Formula:
+    """Return a formula with the robustness of each predicate divided by the largest scale of its columns.
+
+    Inside one part the predicate with the larger unit hides the others. No sign changes: the robustness of the result
+    is below 0 where that of `tree` is. That of numbers alone is divided by the largest scale.
+
+    >>> from perfbound.orchestrator.mathematics.stl.parser import parse_formula
+    >>> from perfbound.orchestrator.mathematics.stl.text import text
+    >>> text(scaled(parse_formula("always (speed < 120 or rpm < 4750)"), {"speed": 100, "rpm": 5000}))
+    'always ((120 - speed) / 100 >= 0 or (4750 - rpm) / 5000 >= 0)'
+    """
+    largest = max(scale.values())
+    return with_predicates(
+        tree,
+        lambda each: _divided(each, max((scale[name] for name in columns(each) if name in scale), default=largest)),
+    )
+
+
+def without_scale(tree: Formula, scale: Mapping[str, float]) -> Comparison | None:
+    """Return a predicate of columns of which none has a scale."""
+    return next((each for each in predicates(tree) if columns(each) and not columns(each) & scale.keys()), None)
+
+
+def _divided(predicate: Comparison, by: float) -> Comparison:
+    left, right = predicate.left, predicate.right
+    margin: Expression
+    match predicate.operator:
+        case "<=" | "<":
+            margin = Arithmetic("-", right, left)
+        case ">=" | ">":
+            margin = Arithmetic("-", left, right)
+        case "==":
+            margin = Arithmetic("-", Number(HALF), Absolute(Arithmetic("-", left, right)))
+        case "!=":
+            margin = Arithmetic("-", Absolute(Arithmetic("-", left, right)), Number(HALF))
+    # The margin as a whole: the quotients of both sides may round to one number.
+    return Comparison(">=", Arithmetic("/", margin, Number(float(by))), Number(0.0))
 
 
 def numbers(goal: Goal) -> Iterator[int]:

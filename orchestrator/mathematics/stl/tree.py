@@ -1,9 +1,9 @@
 """Nodes of an STL formula's tree, frozen: either expressions (numbers) or formulas (conditions)."""
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, fields
-from typing import Literal, get_args
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal, get_args
 
 ArithmeticOperator = Literal["+", "-", "*", "/", "^"]
 FunctionName = Literal["max", "min", "sqrt", "sin", "cos", "tan", "exp", "log"]
@@ -303,3 +303,11 @@ def predicates(tree: Formula) -> tuple[Comparison, ...]:
     2
     """
     return tuple(node for node in walk(tree) if isinstance(node, Comparison))
+
+
+def with_predicates(tree: Formula, other: Callable[[Comparison], Formula]) -> Formula:
+    """Return `tree` with another formula in the place of each predicate."""
+    if isinstance(tree, Comparison):
+        return other(tree)
+    changed: dict[str, Any] = {part: with_predicates(getattr(tree, part), other) for part in _PARTS[type(tree)]}
+    return replace(tree, **changed)

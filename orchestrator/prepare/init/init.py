@@ -228,7 +228,8 @@ def _proposal(wish: Wish, spec: SystemSpec, found: Pilot) -> tuple[FirstValues, 
     elif not question.drawn:
         about = "The constants below fit this formula."
     source = "" if not question.drawn else f"{question.values.capitalize()} proposed from {found.size}."
-    return FirstValues(source, found.horizon, specification, about, clip_around(_all(found.scores)), {}), found
+    clip, scale = clip_around(_all(found.scores)), values.search_scale(specification, spec, found.spans)
+    return FirstValues(source, found.horizon, specification, about, clip, {}, scale=scale), found
 
 
 @dataclass(frozen=True, slots=True)

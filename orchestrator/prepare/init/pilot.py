@@ -2,7 +2,7 @@
 
 import tempfile
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -59,6 +59,8 @@ class Pilot:
     """Files that the rollouts have read and that are no part of the system, relative to its folder."""
     in_batch: BatchCost | None = None
     """Of a rollout; None where rollouts cannot be a batch."""
+    spans: Mapping[str, float] = field(default_factory=dict)
+    """Of each column in all rollouts, its largest value minus its least."""
 
     @property
     def size(self) -> str:
@@ -110,10 +112,11 @@ def run_pilot(plan: PilotPlan, score: Score) -> Pilot:
     """
     requests = plan.requests()
     scores: dict[Variant, list[float]] = {variant: [] for variant in plan.variants}
-    horizon, written, beside, grids = None, [], _Beside(), set[bytes]()
+    horizon, written, beside, grids, ends = None, [], _Beside(), set[bytes](), []
     for request, trajectory, at in _finished(plan, requests, beside):
         written.append(at)
         grids.add(trajectory.samples[:, 0].tobytes())
+        ends += [trajectory.samples.min(axis=0), trajectory.samples.max(axis=0)]
         if horizon is None:
             horizon = settled_horizon(plan.horizon, trajectory)
         try:
@@ -133,7 +136,9 @@ def run_pilot(plan: PilotPlan, score: Score) -> Pilot:
     cost = float(np.median(np.diff(written))) if len(written) > 1 else None
     starts = np.array(pilot_starts(plan.spec.parameters)[:whole])
     in_batch = beside.in_batch or (None if cost is None else BatchCost(cost, beside.size))
-    return Pilot(starts, horizon, shaped, cost, beside.undeclared, in_batch if len(grids) == 1 else None)
+    with np.errstate(over="ignore"):  # of a column whose span is no float, no range is known
+        spans = dict(zip((column.name for column in plan.spec.columns), np.ptp(ends, axis=0).tolist(), strict=True))
+    return Pilot(starts, horizon, shaped, cost, beside.undeclared, in_batch if len(grids) == 1 else None, spans)
 
 
 @dataclass(slots=True)

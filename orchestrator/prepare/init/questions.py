@@ -106,7 +106,13 @@ def _fails(campaign: "FirstCampaign") -> Iterator[str]:
         "Search for a start that fails: the first test that violates the specification ends the campaign, and is its "
         "answer. Every fourth test is drawn at random; if none fails, these say how often it fails at most."
     )
-    yield "falsify = {}"
+    if scale := campaign.basis.scale:
+        yield from toml_comment(
+            "The search compares predicates by the ranges of their columns in the pilot; verdict and claim do not."
+        )
+        yield f"falsify = {toml_value({'scale': dict(scale)})}"
+    else:
+        yield "falsify = {}"
     yield from _acceptable()
     yield "# Tests at most."
     yield f"max_tests = {min(campaign.size.max_tests, MOST_SEARCHED)}"

@@ -1,8 +1,8 @@
 """The first values of a campaign: the starts and scores of a pilot, and constants where none can be calibrated."""
 
 import itertools
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +13,9 @@ from ....schemas.system import Parameter, SystemSpec
 from ....schemas.trajectory.trajectory import Trajectory
 from ...campaign.objectives import scored
 from ...mathematics.gp.kernels import Floats
+from ...mathematics.search.goal import goal_of
 from ...mathematics.stl.parser import FormulaError, parse_formula
+from ...mathematics.stl.tree import columns, predicates
 from ..calibrate.constants import Constant
 from ..rounded import PARTS, rounded, rounded_up
 
@@ -37,6 +39,8 @@ class FirstValues:
     """Of each problem, in the order of the file; empty where a claim needs none."""
     guess: str = ""
     """Ends the meaning of clip and constants that no pilot shows."""
+    scale: Mapping[str, float] = field(default_factory=dict)
+    """Of each column that a search compares with others, its usual range; empty where it compares none."""
 
 
 Score = Callable[[Trajectory], float]
@@ -45,6 +49,9 @@ CORNERS, INNER = 8, 16
 """Starts of a pilot at corners of the box, where a system is often at its worst, and in it."""
 NOISY_ROLLOUTS = 2
 """Rollouts at each start where they depend on the seed."""
+UNLIKE = 2.0
+"""Quotient of two spans of columns from which on one hides the other."""
+LEAST_SPAN, MOST_SPAN = 1e-9, 1e99
 GUESSED_NORM = 4.0
 """B of a guess, in largest distances from the prior mean: those of a calibration are 2 to 15 of them."""
 
@@ -104,6 +111,23 @@ def score(specification: str | None, spec: SystemSpec) -> Score:
             raise PerfboundError(f"--specification: {error}") from None
 
     return robust
+
+
+def search_scale(specification: str, spec: SystemSpec, spans: Mapping[str, float]) -> dict[str, float]:
+    """Return the scale of each column for a search, from its span in a pilot: its next number of two digits.
+
+    It is empty where no predicate can hide another one: where those inside each part of the formula have spans that
+    differ by less than `UNLIKE`.
+    """
+    tree = parse_formula(specification, spec.units)
+    # Of a column that never changed, or by no more than rounding, no range is known.
+    known = {name: span for name, span in spans.items() if LEAST_SPAN < span < MOST_SPAN}
+    scale = {name: rounded_up(known[name]) if name in known else 1.0 for name in sorted(columns(tree))}
+    for part in goal_of(tree)[1]:
+        found = [max(scale[name] for name in columns(each)) for each in predicates(part) if columns(each)]
+        if found and max(found) > UNLIKE * min(found):
+            return scale
+    return {}
 
 
 def guessed(values: Floats | None, *, noisy: bool, why: str) -> tuple[Constant, ...]:

@@ -12,8 +12,9 @@ import scipy.linalg  # noqa: F401  (before the limit of threads, which holds for
 from pydantic import ValidationError
 from threadpoolctl import threadpool_limits
 
+from perfbound.orchestrator.campaign.checks import check
 from perfbound.orchestrator.campaign.methods import methods
-from perfbound.orchestrator.campaign.observation import goal_of_search
+from perfbound.orchestrator.campaign.observation import for_search, goal_of_search
 from perfbound.orchestrator.campaign.plan import plans
 from perfbound.orchestrator.campaign.proposals import SearchSource, proposal_source
 from perfbound.orchestrator.campaign.software import software
@@ -21,16 +22,18 @@ from perfbound.orchestrator.campaign.starts import Draws
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.mathematics.bounds.one_law.failures import beta_mixture_upper
 from perfbound.orchestrator.mathematics.search import Falsifier
-from perfbound.orchestrator.mathematics.search.goal import ALONE
+from perfbound.orchestrator.mathematics.search.goal import ALONE, Every, Part
 from perfbound.orchestrator.report.collect.campaign import Collector
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import facts as recorded_facts
 from perfbound.orchestrator.store import read
-from perfbound.schemas.file.config import CampaignConfig
+from perfbound.schemas.errors import CampaignError
+from perfbound.schemas.file.config import CampaignConfig, campaign_text
 from perfbound.schemas.file.reader import parse_campaign
 from perfbound.schemas.result.certificate import Certificate
 from perfbound.schemas.result.facts import Header, ProposalFact
 from perfbound.schemas.rollout import RolloutRequest
+from tests.facts import facts
 from tests.fakes.simulators import checks, noise, robustness, simulate, spec, verified
 from tests.tampering import editing
 
@@ -62,6 +65,10 @@ def hidden(request: RolloutRequest) -> float:
 
 def safe(request: RolloutRequest) -> float:
     return 0.1 + 0.3 * float(np.hypot(request.x[0] - 0.37, request.x[1] - 0.71))
+
+
+def shifted(request: RolloutRequest) -> float:
+    return 0.1 + safe(request)
 
 
 def shaky(request: RolloutRequest) -> float:
@@ -168,6 +175,69 @@ def test_of_equally_bad_rollouts_the_order_of_arrival_changes_no_start(tmp_path:
     assert values == (1, 48)
     assert proposals(tmp_path / "kept") == proposals(tmp_path / "swapped")
     assert verified(tmp_path / "swapped") == []
+
+
+SCALED = {
+    "specification": "always (value <= -1 or 1000 * value >= 200)",
+    "falsify": {"scale": {"value": 50.0}},
+    "max_tests": 16,
+}
+
+
+def test_a_scale_is_of_the_search_alone_and_its_parts_are_recorded_and_verified(tmp_path: Path) -> None:
+    config = sought({"method": "sample"}, clip=(-1000.0, 1000.0), **SCALED)
+    simulate(tmp_path / "one", config, shifted, noisy=False)
+    simulate(tmp_path / "other", config, shifted, noisy=False, workers=3)
+    assert proposals(tmp_path / "one") == proposals(tmp_path / "other")
+    with sqlite3.connect(tmp_path / "one" / "campaign.db") as connection:
+        rows = connection.execute("SELECT robustness, parts FROM rollouts WHERE problem = 'robustness'").fetchall()
+    assert len(rows) == 16
+    for value, parts in rows:
+        assert json.loads(parts) == pytest.approx([value / 50]), "one part, in shares of the scale"
+    assert verified(tmp_path / "one") == []
+    with editing(tmp_path / "one") as connection:
+        connection.execute("UPDATE rollouts SET parts = '[1.0]' WHERE test = 3 AND problem = 'robustness'")
+    (failed,) = (each for each in checks(tmp_path / "one") if each.status == "failed")
+    assert "robustness.3.nominal.0: parts[0] is 1.0" in failed.detail
+
+
+def test_a_search_with_a_scale_observes_the_scaled_parts_and_their_whole() -> None:
+    several = Every((Part(0), Part(1)))
+    assert for_search(ALONE, 3.0, (), has_scale=False) == (3.0, ())
+    assert for_search(ALONE, 3.0, (0.5,), has_scale=True) == (0.5, ())
+    assert for_search(several, 3.0, (3.0, 4.0), has_scale=False) == (3.0, (3.0, 4.0))
+    assert for_search(several, 3.0, (0.5, 0.25), has_scale=True) == (0.25, (0.5, 0.25))
+
+
+def test_a_scale_is_part_of_the_campaign_and_no_scale_changes_nothing() -> None:
+    plain, scaled = sought({"method": "sample"}), sought({"method": "sample"}, falsify={"scale": {"value": 2.0}})
+    assert plain.digest != scaled.digest
+    assert "scale" not in campaign_text(plain)
+    assert "scale = { value = 2.0 }" in campaign_text(scaled)
+
+
+@pytest.mark.parametrize(
+    ("scale", "words"),
+    [
+        ({"valu": 2.0}, "falsify.scale.valu: no predicate reads this column; did you mean 'value'?"),
+        ({"t": 2.0}, "falsify.scale: `value >= 0` has none; give that of value"),
+    ],
+)
+def test_a_scale_that_does_not_fit_the_specification_is_refused(scale: dict[str, float], words: str) -> None:
+    config = sought({"method": "sample"}, specification="value >= 0 or t <= 1", falsify={"scale": scale})
+    with pytest.raises(CampaignError, match=facts(words)):
+        check(config, spec(noisy=False), "a.toml")
+
+
+@pytest.mark.parametrize("scale", ["auto", {}, {"value": 0.0}, {"value": -1.0}, {"value": "m"}, 2.0])
+def test_a_scale_is_a_number_above_0_for_each_column(scale: object) -> None:
+    with pytest.raises(ValidationError, match="scale"):
+        sought({"method": "sample"}, falsify={"scale": scale})
+
+
+def test_a_scale_needs_the_parts_of_each_rollout() -> None:
+    with pytest.raises(ValidationError, match=r"falsify\.scale: not with batch"):
+        sought({"method": "sample"}, falsify={"scale": {"value": 2.0}}, batch=4)
 
 
 def test_a_part_that_decides_nothing_alone_has_the_value_of_the_whole(tmp_path: Path) -> None:

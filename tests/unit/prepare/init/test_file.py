@@ -308,6 +308,16 @@ def test_a_search_for_a_failing_start_ends_with_it() -> None:
     assert (problem.method, config.max_tests) == ("sample", 299)
 
 
+def test_a_search_has_the_scale_of_its_pilot() -> None:
+    found = asking("fails")
+    text = campaign_text(replace(found, basis=replace(found.basis, scale={"phi": 0.5, "t": 10.0})))
+    assert "falsify = { scale = { phi = 0.5, t = 10.0 } }" in text
+    assert key_lines(text) <= MOST_KEYS
+    config = parse_campaign(text.encode(), "robot.toml")
+    assert config.falsify is not None
+    assert config.falsify.scale == {"phi": 0.5, "t": 10.0}
+
+
 def test_regions_are_a_key_beside_those_of_the_worst_start() -> None:
     safe, worst = (parse_campaign(campaign_text(asking(each)).encode(), "robot.toml") for each in ("safe", "worst"))
     assert safe == worst.model_copy(update={"regions": True})

@@ -93,3 +93,24 @@ def test_guesses_are_about_the_formula_that_the_file_has(tmp_path: Path, monkeyp
     (problem,) = parse_campaign((tmp_path / "one.toml").read_bytes(), "c").problems
     assert isinstance(problem, RigorousProblem)
     assert -1.5 < problem.prior_mean < 0.0, "minus the robustness, which is at most 1.1"
+
+
+CAR = """import numpy as np
+import perfbound as pb
+
+@pb.system(parameters={"x": pb.Parameter(0, 1)}, columns={"speed": "m/s", "rpm": "1/min"}, step=0.5)
+def car(x, *, horizon):
+    t = np.arange(0, horizon + 0.25, 0.5)
+    return {"speed": 10 * x * t, "rpm": 1000 + 3000 * x + 0 * t}
+"""
+
+
+def test_a_search_compares_predicates_by_their_ranges_in_the_pilot(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "own.py").write_text(CAR)
+    monkeypatch.chdir(tmp_path)
+    list(write_first_campaign(Wish("own.py:car", "fails", "always (speed < 15 or rpm < 3750)", 2.0, None)))
+    found = parse_campaign((tmp_path / "car.toml").read_bytes(), "c").falsify
+    assert found is not None
+    assert found.scale == {"speed": 20.0, "rpm": 3000.0}

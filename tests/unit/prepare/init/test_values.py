@@ -1,5 +1,6 @@
 """The starts of a pilot, guesses that contradict none of its values, and numbers as a person writes them."""
 
+import math
 from decimal import ROUND_CEILING, ROUND_FLOOR
 
 import numpy as np
@@ -7,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from perfbound.orchestrator.prepare.init.values import INNER, guessed, pilot_starts, settled_horizon
+from perfbound.orchestrator.prepare.init.values import INNER, guessed, pilot_starts, search_scale, settled_horizon
 from perfbound.orchestrator.prepare.rounded import covering, rounded
-from perfbound.schemas.system import Parameter
+from perfbound.schemas.system import Column, Parameter, SystemSpec
 from perfbound.schemas.trajectory.trajectory import Trajectory
 
 BOX = tuple(Parameter(name=name, low=low, high=high) for name, low, high in (("a", -1.0, 0.1), ("b", 5.0, 60.0)))
@@ -75,3 +76,29 @@ def trajectory(*times: float) -> Trajectory:
 def test_the_horizon_follows_from_the_first_rollout(asked: float, times: tuple[float, ...], expected: float) -> None:
     assert settled_horizon(asked, trajectory(*times)) == expected
     assert settled_horizon(10.0, trajectory(0.0, 4.0)) == 10.0, "a short one is a fault, and no horizon"
+
+
+@pytest.mark.parametrize(
+    ("formula", "expected"),
+    [
+        ("always (speed < 120 or rpm < 4750)", {"rpm": 5300.0, "speed": 98.0}),
+        ("always (speed < 120 and rpm < 4750)", {}),  # two parts, each with a unit of its own
+        ("always (speed < 120 or 2 * speed > 3)", {}),
+        ("always (speed < 120 or still > 1)", {"speed": 98.0, "still": 1.0}),
+        ("always (speed < 120 or endless > 1)", {"endless": 1.0, "speed": 98.0}),
+        ("always (speed < 120 or gear == 1)", {"gear": 3.0, "speed": 98.0}),
+        ("always (speed < 120 or slow < 60)", {}),
+        ("always (speed < 120 or 1 < 2)", {}),
+    ],
+)
+def test_a_search_compares_predicates_by_the_spans_of_their_columns(formula: str, expected: dict[str, float]) -> None:
+    spans = {"speed": 97.3, "rpm": 5210.0, "still": 1e-12, "endless": math.inf, "gear": 3.0, "slow": 51.0}
+    units = {name: "discrete" if name == "gear" else "1" for name in spans}
+    spec = SystemSpec(
+        name="car",
+        doc="",
+        parameters=BOX,
+        columns=(Column(name="t", unit="s"), *(Column(name=name, unit=unit) for name, unit in units.items())),
+        max_horizon=9,
+    )
+    assert search_scale(formula, spec, {"t": 4.0, **spans}) == expected

@@ -573,6 +573,8 @@ CARELESS = [
     ("claims = { quantity = 'failure_probability' }", "", "x = [0, 1]", "claims: a list of tables: [{ quantity ="),
     ("claims = ['failure_probability']", "", "x = [0, 1]", "claims.0: a table: { quantity ="),
     ("falsify = {}", "fmu = 'Tank.fmu'", "x = [0, 1]", "system.name: python and fmu several systems; give one of"),
+    ("falsify = { scale = 'auto' }", "", "x = [0, 1]", "falsify.scale: 'auto' a table perfbound init writes pilot"),
+    ("falsify = { scale = { y = 0 } }", "", "x = [0, 1]", "falsify.scale.y: 0"),
     ("falsify = {}\nrequired_at_most = 5", "", "x = [0, 1]", "required_at_most: 5 between 0 and 1; 5 % is 0.05"),
     ("falsify = {}\nrequired_at_most = 0", "", "x = [0, 1]", "required_at_most: 0 between 0 and 1"),
 ]
