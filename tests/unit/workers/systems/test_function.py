@@ -21,7 +21,8 @@ from perfbound.schemas.trajectory.trajectory import read_canonical, read_mcap
 from perfbound.workers import simulate, systems
 from perfbound.workers.simulate import drawn, run_request_on
 from perfbound.workers.systems.decorator import system
-from perfbound.workers.systems.files import MODULE, load_file
+from perfbound.workers.systems.elsewhere import MODULE
+from perfbound.workers.systems.files import load_file
 from perfbound.workers.systems.function import FunctionSystem
 from tests.facts import facts
 
