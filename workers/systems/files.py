@@ -11,7 +11,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
-from ...schemas.errors import DefinitionError, UnknownSystemError
+from ...schemas.errors import DefinitionError, UnknownSystemError, meant
 from ...schemas.file.config import CampaignConfig
 from ...schemas.file.reader import load_description
 from ...schemas.file.space import SystemChoice
@@ -117,7 +117,11 @@ def load_file(reference: str, said: SystemChoice | None = None, campaign: Path |
     code = loaded_code(path)
     found = getattr(code.module, name, None)
     if found is None:
-        raise DefinitionError(f"{path}: there is no {name!r} in it; name a function under @perfbound.system")
+        own = [
+            each for each, value in vars(code.module).items() if hasattr(value, "spec") and hasattr(value, "rollout")
+        ]
+        hint = meant(name, own) or (f"its systems are {', '.join(own)}; " if own else "")
+        raise DefinitionError(f"{path}: there is no {name!r} in it; {hint}name a function under @perfbound.system")
     if isinstance(found, type) and hasattr(found, "rollout"):  # a class like that of an installed system
         found = found()
     if not (hasattr(found, "spec") and hasattr(found, "rollout")):
