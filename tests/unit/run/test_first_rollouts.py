@@ -103,7 +103,7 @@ def test_the_campaign_file_is_what_check_system_gets(monkeypatch: pytest.MonkeyP
 
     monkeypatch.chdir(tmp_path)
     (tmp_path / "c.toml").touch()
-    with pytest.raises(CampaignError, match="`perfbound check-system c[.]toml` tries more"):
+    with pytest.raises(CampaignError, match=r"`perfbound check-system c[.]toml` tries more"):
         checked(monkeypatch, fails)
 
 
