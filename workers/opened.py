@@ -54,7 +54,7 @@ class Opened:
         """Paths that this process has made itself."""
         self._no_data: set[str] = set()
         """Real paths that every rollout may open again, and that were looked at once."""
-        self._modules = frozenset(sys.modules)
+        self._modules = self._looked_at = frozenset(sys.modules)
         self._notices = _Notices(folder) if folder is not None else None
         self._listens = True
         sys.addaudithook(self._heard)
@@ -92,9 +92,9 @@ class Opened:
         base = self._base or Path()
         own = {os.path.realpath(file_of(name) or base / name) for name in spec.code} | self._ignored
         # Python has read some from its cache alone.
-        for module in loaded_elsewhere().values():
-            if module.name not in self._modules:
-                self._add(str(module.file), written=False)
+        for module in loaded_elsewhere(self._looked_at).values():
+            self._add(str(module.file), written=False)
+        self._looked_at = frozenset(sys.modules)
         others = {real for real, path in self._names.items() if real in own or not self._is_data(Path(path))}
         # Those that are gone are forgotten: every rollout may have others.
         self._ignored = set(filter(os.path.exists, self._ignored))

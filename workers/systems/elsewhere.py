@@ -27,7 +27,8 @@ MODULE = "perfbound_system"
 NEVER = frozenset({"perfbound", "__main__", "__mp_main__", MODULE})
 """Top-level modules that are no code of a system, or stand there by their file."""
 COMPILED = (".so", ".pyd")
-OF_PYTHON = tuple({sysconfig.get_path(each) for each in ("stdlib", "platstdlib")})
+OF_PYTHON = tuple({os.path.join(sysconfig.get_path(each), "") for each in ("stdlib", "platstdlib")})
+INSTALLED = tuple(f"/{each}/" for each in PACKAGES)
 
 
 class Module(NamedTuple):
@@ -95,9 +96,10 @@ def digests_of(modules: Iterable[Module]) -> dict[str, str]:
     return {PREFIX + each.name: each.sha256 for each in modules}
 
 
-def loaded_elsewhere() -> dict[str, Module]:
-    """Return name -> module of those in this process that are no installed package."""
-    found = (_module(name, getattr(module, "__spec__", None)) for name, module in [*sys.modules.items()])
+def loaded_elsewhere(before: Collection[str] = ()) -> dict[str, Module]:
+    """Return name -> module of those in this process that are no installed package, and were not there `before`."""
+    new = [(name, module) for name, module in [*sys.modules.items()] if name not in before]
+    found = (_module(name, getattr(module, "__spec__", None)) for name, module in new)
     return {each.name: each for each in found if each is not None and _counts(each)}
 
 
@@ -119,10 +121,11 @@ def file_of(name: str) -> Path | None:
 
 def is_code(place: Path) -> bool:
     """Whether a file is none of Python, of an installed distribution, or of perfbound."""
+    text = str(place)  # not by its parts: a process has a thousand modules
     return not (
-        PACKAGES.intersection(place.parts)
-        or any(place.is_relative_to(each) for each in OF_PYTHON)
-        or of_perfbound(str(place))
+        text.startswith(OF_PYTHON)
+        or any(each in text for each in INSTALLED)
+        or of_perfbound(text)
         or any(
             str(place.relative_to(each)) in _recorded(each)
             for each in map(os.path.abspath, sys.path)

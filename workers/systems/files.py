@@ -173,7 +173,7 @@ def loaded_code(path: Path) -> LoadedCode:
         module = _imported(path)
         # What it has imported, by whatever way, and what its functions will import.
         beside = _beside(folder)
-        new = loaded_elsewhere().keys() - before - beside.keys()
+        new = loaded_elsewhere(before).keys() - beside.keys()
         _ELSEWHERE.update(new)
         bound = (each for own in (module, *map(sys.modules.get, beside)) for each in vars(own).values())
         # Also what importlib has imported by a computed name.
