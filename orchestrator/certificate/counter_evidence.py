@@ -34,8 +34,12 @@ WORST: dict[Quantity, str] = {
 """Quantities of a claim about the worst start, and what their margin is."""
 
 AFTER_SEARCH = (
-    "Fix the system and search again, in a new run directory. How often rollouts fail, a campaign without `falsify` "
-    "asks."
+    "Fix the system and search again, in a new run directory; a campaign without `falsify` bounds how often rollouts "
+    "fail."
+)
+SEARCH_ON = (
+    "More tests (`perfbound resume --max-tests`) search further; where some failures are acceptable, say how many with "
+    "the key `required_at_most`."
 )
 SAY_LIMIT = "name it with the key `required_at_most`; the bound stays the same."
 """What to do about the largest acceptable value, where the file names none."""
