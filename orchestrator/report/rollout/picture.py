@@ -18,7 +18,7 @@ WIDTH = 10.0
 DPI = 150
 CHARACTERS, LINE = 115, 0.17
 """Of a line of the title, and its height in inches."""
-LABEL, TITLE = 20, 90
+LABEL, TITLE = 20, 70
 """Characters beside a panel, and above it."""
 STYLE: dict[Any, Any] = {"font.family": "DejaVu Sans", "font.size": 9, "axes.linewidth": 0.6}
 
