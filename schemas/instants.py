@@ -161,11 +161,13 @@ def _uncovered(stamps: bytes, horizon: float) -> str | None:
             remedy = f"give the campaign horizon = {there}, or return one sample alone"
         return f"the last row, {row}, is at t = {there} s, and the horizon is {end} s: {remedy}"
     if ends_early(times, horizon):
+        if step := _other_step(times, horizon):
+            return f"{step}; the last row, {row}, is at t = {there} s, and the horizon is {end} s"
         return (
             f"the last row, {row}, is at t = {there} s, and the horizon is {end} s, before which it may be by "
             f"{_allowed(times, horizon):.3g} s: simulate to the horizon{_one_more(times, horizon)}, or "
             "declare what an early end means: after_end "
-            '= "hold" (the last state stays) or "fail" (it violates the specification)' + _other_step(times, horizon)
+            '= "hold" (the last state stays) or "fail" (it violates the specification)'
         )
     return None
 
@@ -178,13 +180,19 @@ def _one_more(times: Floats, horizon: float) -> str:
 
 
 def _other_step(times: Floats, horizon: float) -> str:
-    """Return the step with which as many samples in equal steps would cover the horizon, where that is a number."""
+    """Return which step the samples seem to have: the one that covers the horizon, where that is a round number."""
     steps = np.diff(times)
     if not len(steps) or float(np.ptp(steps)) > SHARE * float(steps.min()):
         return ""
     meant, samples = float(f"{horizon / len(steps):.3g}"), len(times)
     close = abs(meant * len(steps) - horizon) <= STRICT[0] * horizon
-    return f"; {samples} samples cover it in steps of {meant:g} s, not {float(steps[0]):.3g} s" if close else ""
+    if not close:
+        return ""
+    own = float(steps[0])
+    return (
+        f"{samples} samples are {horizon:g} s in steps of {meant:g} s, not of {own:.3g} s: correct the step, or return "
+        f"{round(horizon / own) + 1} samples"
+    )
 
 
 def stamps(times: Floats) -> Stamps:

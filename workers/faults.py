@@ -49,12 +49,12 @@ def reason(fault: BaseException) -> str:
 def missing(module: str) -> str:
     """Return what to do about a module that is not there.
 
-    >>> missing("mujoco.viewer"), missing("torch")
-    ("pip install 'perfbound[mujoco]'", 'fix the name, or install its package with the pip of this Python')
+    >>> missing("mujoco.viewer"), missing("torch")  # doctest: +ELLIPSIS
+    ("pip install 'perfbound[mujoco]'", 'fix the name, add its folder to PYTHONPATH, or install its package ...')
     """
     extra = EXTRAS.get(module.partition(".")[0])
     return (
         f"pip install 'perfbound[{extra}]'"
         if extra
-        else "fix the name, or install its package with the pip of this Python"
+        else "fix the name, add its folder to PYTHONPATH, or install its package with the pip of this Python"
     )

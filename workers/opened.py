@@ -20,6 +20,7 @@ from ..schemas.errors import PerfboundError
 from ..schemas.file.reader import load_description
 from ..schemas.places import PACKAGES, of_perfbound
 from ..schemas.system import SystemSpec
+from .systems.elsewhere import file_of, is_code, loaded_elsewhere
 from .systems.fingerprint import required_by, versions_of
 
 IN_MODIFY, IN_OPEN, IN_MOVED_TO, IN_CREATE, IN_ISDIR = 0x2, 0x20, 0x80, 0x100, 0x4000_0000
@@ -53,7 +54,7 @@ class Opened:
         """Paths that this process has made itself."""
         self._no_data: set[str] = set()
         """Real paths that every rollout may open again, and that were looked at once."""
-        self._modules = frozenset(sys.modules)
+        self._modules = self._looked_at = frozenset(sys.modules)
         self._notices = _Notices(folder) if folder is not None else None
         self._listens = True
         sys.addaudithook(self._heard)
@@ -89,7 +90,11 @@ class Opened:
         self._collect()
         self._listens = False
         base = self._base or Path()
-        own = {os.path.realpath(base / name) for name in spec.code} | self._ignored
+        own = {os.path.realpath(file_of(name) or base / name) for name in spec.code} | self._ignored
+        # Python has read some from its cache alone.
+        for module in loaded_elsewhere(self._looked_at).values():
+            self._add(str(module.file), written=False)
+        self._looked_at = frozenset(sys.modules)
         others = {real for real, path in self._names.items() if real in own or not self._is_data(Path(path))}
         # Those that are gone are forgotten: every rollout may have others.
         self._ignored = set(filter(os.path.exists, self._ignored))
@@ -154,13 +159,8 @@ class Opened:
         # A system may lie in such a folder itself, and an environment in that of a system.
         prefixes = {Path(sys.prefix), Path(sys.base_prefix), Path(tempfile.gettempdir())}
         others = [each for each in prefixes if not below or each.is_relative_to(self._folder or "/")]
-        # What Python imports from a place of its own is a package, and has a version.
-        paths = {Path(os.path.abspath(each)) for each in sys.path} - {self._folder}
-        others += [
-            each for each in paths if (each.is_relative_to(self._folder or "/") if below else path.suffix == ".py")
-        ]
         others += [] if below else [Path(each) for each in OF_THE_MACHINE]
-        return not any(path.is_relative_to(each) for each in others)
+        return is_code(path) and not any(path.is_relative_to(each) for each in others)
 
 
 class _Notices:

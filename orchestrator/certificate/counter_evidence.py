@@ -33,6 +33,14 @@ WORST: dict[Quantity, str] = {
 }
 """Quantities of a claim about the worst start, and what their margin is."""
 
+AFTER_SEARCH = (
+    "Fix the system and search again, in a new run directory; a campaign without `falsify` bounds how often rollouts "
+    "fail."
+)
+SEARCH_ON = (
+    "More tests (`perfbound resume --max-tests`) search further; where some failures are acceptable, say how many with "
+    "the key `required_at_most`."
+)
 SAY_LIMIT = "name it with the key `required_at_most`; the bound stays the same."
 """What to do about the largest acceptable value, where the file names none."""
 OF_ROLLOUTS = ("reproducible_rollouts", "independent_rollouts", "one_law_per_start")
@@ -107,7 +115,7 @@ def violated(
             found = _by_rollouts(header, claim, required.bound, required.probability, values)
         return found or _by_partner(header, predicate, required)
     if claim.quantity == "failure_probability" and claim.requirement is None:
-        return _any_violation(violations)
+        return _any_violation(violations, searched=header.config.falsify is not None)
     return None
 
 
@@ -133,10 +141,13 @@ def is_deterministic(header: Header) -> bool:
     return header.claimed_variant not in header.spec.noisy
 
 
-def _any_violation(violations: Violations) -> VerdictFinding | None:
+def _any_violation(violations: Violations, *, searched: bool) -> VerdictFinding | None:
     """Return the finding where some rollout violates the specification: who names no acceptable share accepts none."""
     if not violations.violations:
         return None
+    if searched:  # whoever searches asks for no probability
+        reason = "A rollout violates the specification: the search has found what it sought."
+        return VerdictFinding("VIOLATED", (reason,), (AFTER_SEARCH,), "certain")
     reason = "A rollout violates the specification, and the campaign file names no acceptable probability of that."
     return VerdictFinding("VIOLATED", (reason,), (f"If some are acceptable, {SAY_LIMIT}",), "certain")
 

@@ -17,6 +17,7 @@ from ..campaign.clip import SAME
 from .assumptions.sentences import value_text
 from .counter_evidence import (
     SAY_LIMIT,
+    SEARCH_ON,
     WORST,
     Required,
     Values,
@@ -266,7 +267,12 @@ def _not_shown(
         )
     if claim.vacuous:
         reasons.append(EMPTY[nothing_shown(claim.quantity)])
-    if required.bound is None:
+    if required.bound is None and header.config.falsify is not None and claim.quantity == "failure_probability":
+        reasons.append(
+            "The search found no rollout that violates the specification, which does not show there is none."
+        )
+        advice.append(SEARCH_ON)
+    elif required.bound is None:
         what = "probability" if claim.quantity in PROBABILITIES else "value"
         reasons.append(f"The campaign file does not say the largest acceptable {what}.")
         advice.append(SAY_LIMIT.capitalize())

@@ -30,6 +30,7 @@ OUTPUT = {
     "trajectories": "evidence",
     "campaign.db": "database",
     "report.html": "report",
+    "counterexamples.csv": "violations",
 }
 """The files of a run directory, and what they are, in the order of the output."""
 MOST_CLAIMS = 3
@@ -48,7 +49,9 @@ def print_end(directory: Path, header: Header, certificate: Certificate, console
     shown = shlex.quote(str(directory))
     verdict = print_verdict(directory, header, certificate, console)
     text.print_counterexample(predicate, console, unit, units)
-    text.first_claim(certificate, console, unit)
+    # A bound that shows nothing only hides what a violation shows.
+    if not (verdict.verdict == "VIOLATED" and predicate.counterexample and predicate.claims[0].vacuous):
+        text.first_claim(certificate, console, unit)
     if others := text.other_claims(predicate, unit, MOST_CLAIMS):
         console.print()
         for each in others:
@@ -60,6 +63,8 @@ def print_end(directory: Path, header: Header, certificate: Certificate, console
     console.print()
     if again := _repeat_command(directory, header, certificate):
         plain_line(console, f"draw it       {again}")
+    if (violations := directory / "counterexamples.csv").exists() and predicate.counterexample:
+        plain_line(console, f"every number  {violations}")
     plain_line(console, f"report        {directory / 'report.html'}")
     plain_line(console, f"certificate   {directory / 'certificate.json'}")
     plain_line(console, f"everything    perfbound show {shown}")
@@ -102,7 +107,7 @@ def print_files(directory: Path, console: Console) -> None:
 def print_verdict(directory: Path, header: Header, certificate: Certificate, console: Console) -> CampaignVerdict:
     """Print and return the verdict on a finished campaign: its reasons, and how many rollouts violate the formula."""
     found = verdict_of(directory, header, certificate)
-    first, *others = verdict_lines(found)
+    first, *others = verdict_lines(found, vacuous=bool(certificate.predicate.claims[0].vacuous))
     plain_line(console, first, f"bold {'yellow' if found.rests_on else COLOURS[found.verdict]}")
     indent = " " * 9
     for each in others:

@@ -37,6 +37,10 @@ GROUP, OURS = "perfbound.systems", "perfbound"
 """Entry points of installed systems, and the distribution whose systems are tested where it is."""
 
 
+class _UnusableError(ChildRolloutError):
+    """A campaign would refuse a rollout; the reason is first, since it need not depend on the start."""
+
+
 def is_own_system(reference: str) -> bool:
     """Whether a system, as a worker finds it, is none that perfbound brings along."""
     return in_file(reference) or not any(
@@ -86,7 +90,7 @@ def _simulate(
             try:
                 admit_either(request, columns, payload, hashlib.sha256(payload).hexdigest())
             except EvidenceError as fault:
-                raise ChildRolloutError(f"{alone(request).words(system.spec)}: {fault}") from None
+                raise _UnusableError(f"{fault}; at {alone(request).words(system.spec)}") from None
 
 
 def first_requests(header: Header, found: Plans) -> list[RolloutRequest | BatchRequest]:
@@ -121,8 +125,11 @@ def _notice(name: str, print_line: Callable[[str], None]) -> Callable[[int], Non
 
 
 def _refusal(fault: ChildRolloutError, system: ChildSystem, where: str, remedy: str = "fix this") -> CampaignError:
-    check = shlex.join(["perfbound", "check-system", system.reference])
+    # By its file the campaign is tried: with its horizon and its inputs.
+    file = Path(where.rpartition(": ")[0])
+    check = shlex.join(["perfbound", "check-system", str(file) if file.is_file() else system.reference])
+    what = f": {fault}" if isinstance(fault, _UnusableError) else f", at {fault}"
     return CampaignError(
-        f"{where}: the first rollout of {system.spec.name} fails, at {fault}; {remedy}, then run again (nothing was "
-        f"started, and `{check}` tries more rollouts)"
+        f"{where}: the first rollout of {system.spec.name} fails{what}; {remedy}, then run again (nothing was started, "
+        f"and `{check}` tries more rollouts)"
     )

@@ -23,6 +23,8 @@ from .space import MAX_SCENARIOS, MAX_TABLE, ProgramLimits, SystemChoice
 
 MOST_FAULTS = 20
 """Lines of an error; a list of starts may have thousands."""
+MOST_ALLOWED = 20
+"""Allowed keys that are listed beside the one that was meant."""
 
 Location = tuple[int | str, ...]
 """Place of a fault, as pydantic gives it."""
@@ -110,12 +112,10 @@ def faults(error: ValidationError, table: dict[str, Any], one_problem: bool) -> 
         key, missing = _key(fault["loc"], table, one_problem), fault["type"] == "missing"
         if fault["type"] == "extra_forbidden":
             wrong = str(place[-1])
-            misspelt.add(
-                key.removesuffix(wrong)
-                + nearest_name(_OTHERWISE.get(wrong, wrong), _keys_at(fault["loc"], one_problem))
-            )
-        # A misspelt key has a second fault: the key that it was meant to be is missing.
-        again = missing and key in misspelt
+            near = nearest_name(_OTHERWISE.get(wrong, wrong), _keys_at(fault["loc"], one_problem))
+            misspelt |= {key.removesuffix(wrong) + near} if near else set()
+        # A misspelt key has further faults: what it was meant to be is missing, and what would be needed without it.
+        again = missing and bool(misspelt)
         # Length scales that follow from the ranges need those to be right.
         again |= missing and ranges_wrong and place[2:3] == ("kernel",) and fault["loc"][2] in DERIVED
         # Each member of a union has a fault at the place of all.
@@ -223,7 +223,10 @@ def _unknown(location: Location, allowed: Sequence[str]) -> str:
         )
     if len(location) == 1 and name in OF_PROBLEM:
         return "belongs to a problem; move it below its [[problems]]"
-    return f"unknown key; {meant(_OTHERWISE.get(name, name), allowed)}allowed are {', '.join(allowed)}"
+    hint = meant(_OTHERWISE.get(name, name), allowed)
+    if hint and len(allowed) > MOST_ALLOWED:
+        return f"unknown key; {hint.strip()}"
+    return f"unknown key; {hint}allowed are {', '.join(allowed)}"
 
 
 def _allowed(location: Location) -> str:

@@ -226,6 +226,8 @@ _VERDICTS: dict[str, Any] = {
     ),
     "no acceptable probability": _of(test_verdict.SAMPLE, _smooth, max_tests=60),
     "no acceptable probability and a violation": _of(test_verdict.SAMPLE, _shifted(-0.35), max_tests=60),
+    "a search found none": _of(test_verdict.SAMPLE, _smooth, max_tests=60, falsify={}),
+    "a search found a counterexample": _of(test_verdict.SAMPLE, _shifted(-0.35), max_tests=60, falsify={}),
     "a counterexample ended it": _of(
         test_verdict.SAMPLE, _shifted(-0.35), max_tests=60, required_at_most=0.05, until_counterexample=True
     ),

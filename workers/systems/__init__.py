@@ -11,6 +11,7 @@ from ...schemas.system import SystemSpec
 from ..faults import NOT_OF_SYSTEMS, fault_text
 from .base import SystemUnderTest
 from .declared import DeclaredFiles, WithSpec, declared_files
+from .elsewhere import digests_of, modules_elsewhere
 from .fingerprint import code_of_files, files_of_module, versions_of
 from .pair import TwoSimulators
 from .rig import DescribedRig
@@ -107,8 +108,11 @@ def _of_entry_point(name: str) -> SystemUnderTest:
         declared = DeclaredFiles(declared_files(system.files, Path(place or above).parent, above))
     except DefinitionError as error:
         raise DefinitionError(f"{name}: {error}") from None
-    versions = versions_of(each for each in files if each.suffix == ".py") | system.spec.versions
-    return WithSpec(system, declared, code=code_of_files(files, above) | declared.digests, versions=versions)
+    sources = [each for each in files if each.suffix == ".py"]
+    versions = versions_of(sources) | system.spec.versions
+    elsewhere = (each for each in modules_elsewhere(sources).values() if each.place not in files)
+    code = code_of_files(files, above) | digests_of(elsewhere)
+    return WithSpec(system, declared, code=code | declared.digests, versions=versions)
 
 
 def module_of(name: str) -> str | None:

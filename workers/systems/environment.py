@@ -331,7 +331,7 @@ def load_environment(file: Path, config: CampaignConfig) -> SystemUnderTest:
             max_horizon=step * MAX_STEPS,
             default_horizon=config.horizon,
             seed_bits=SEED_BITS,
-            code=policy.digests | code_beside(folder) | files.digests,
+            code=policy.digests | code_beside(folder, type(env.unwrapped).__module__) | files.digests,
             versions=policy.versions | versions_of((), {"gymnasium", type(env.unwrapped).__module__}),
             after_end=choice.after_end,
         )

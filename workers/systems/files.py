@@ -11,7 +11,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
-from ...schemas.errors import DefinitionError, UnknownSystemError
+from ...schemas.errors import DefinitionError, UnknownSystemError, meant
 from ...schemas.file.config import CampaignConfig
 from ...schemas.file.reader import load_description
 from ...schemas.file.space import SystemChoice
@@ -21,13 +21,16 @@ from ..faults import NOT_OF_SYSTEMS, reason
 from .base import SystemUnderTest
 from .declared import DeclaredFiles, WithSpec, declared_files
 from .described import check_horizon
+from .elsewhere import MODULE, Module, digests_of, forget, loaded_elsewhere, modules_elsewhere
 from .fingerprint import code_of_files, sources_of, versions_of
 from .pair import Half, TwoSimulators
 from .program import load_program
 from .rig import load_rig
 
-MODULE = "perfbound_system"
-"""Name of the module of a file; its own would hide an installed one."""
+_ELSEWHERE: set[str] = set()
+"""Modules outside the folder of a system that this process has imported with it."""
+_LATE: list[str] = []
+"""Folders of systems, which are in the search path for their late imports."""
 
 
 def load_reference(reference: str) -> SystemUnderTest:
@@ -100,7 +103,7 @@ def _both(path: Path, config: CampaignConfig) -> TwoSimulators:
 
 
 def load_file(reference: str, said: SystemChoice | None = None, campaign: Path | None = None) -> SystemUnderTest:
-    """Return the system `FILE.py:NAME`; its spec carries the digests of the file and of what it imports beside it.
+    """Return the system `FILE.py:NAME`; its spec carries the digests of the file and of the modules that it imports.
 
     The digests of the files that it declares are in the spec, too, and the versions of the packages that it imports.
     `said` is what the file `campaign` says of it besides.
@@ -114,7 +117,11 @@ def load_file(reference: str, said: SystemChoice | None = None, campaign: Path |
     code = loaded_code(path)
     found = getattr(code.module, name, None)
     if found is None:
-        raise DefinitionError(f"{path}: there is no {name!r} in it; name a function under @perfbound.system")
+        own = [
+            each for each, value in vars(code.module).items() if hasattr(value, "spec") and hasattr(value, "rollout")
+        ]
+        hint = meant(name, own) or (f"its systems are {', '.join(own)}; " if own else "")
+        raise DefinitionError(f"{path}: there is no {name!r} in it; {hint}name a function under @perfbound.system")
     if isinstance(found, type) and hasattr(found, "rollout"):  # a class like that of an installed system
         found = found()
     if not (hasattr(found, "spec") and hasattr(found, "rollout")):
@@ -144,7 +151,7 @@ class LoadedCode(NamedTuple):
     module: ModuleType
     sources: Collection[Path]
     digests: dict[str, str]
-    """Name -> sha256 of the file and of what it imports beside it."""
+    """Name -> sha256 of the file and of what it imports that is no installed package."""
     versions: dict[str, str]
     """Of the packages that it imports."""
 
@@ -156,17 +163,36 @@ def loaded_code(path: Path) -> LoadedCode:
         DefinitionError: it is not there, or cannot be imported.
 
     """
-    # Anew, also what another system of this folder has imported: the code of each is what it imports itself.
-    for known in list(_beside(path.parent)):
-        del sys.modules[known]
-    module = _imported(path)
-    # What it has imported, by whatever way, and what its functions will import.
-    beside = _beside(path.parent)
-    sources = sources_of(path) | set(beside.values())
-    bound = (each for own in (module, *map(sys.modules.get, beside)) for each in vars(own).values())
-    # Also what importlib has imported by a computed name.
-    modules = {each.__name__ for each in bound if isinstance(each, ModuleType) and each.__name__ not in beside}
-    return LoadedCode(module, sources, code_of_files(sources, path.parent), versions_of(sources, modules))
+    folder = path.parent
+    with _without_others(folder):
+        # Anew, also what another system has imported: the code of each is what it imports itself.
+        for known in list(_beside(folder)):
+            del sys.modules[known]
+        forget(_ELSEWHERE)
+        before = frozenset(sys.modules)
+        module = _imported(path)
+        # What it has imported, by whatever way, and what its functions will import.
+        beside = _beside(folder)
+        new = loaded_elsewhere(before).keys() - beside.keys()
+        _ELSEWHERE.update(new)
+        bound = (each for own in (module, *map(sys.modules.get, beside)) for each in vars(own).values())
+        # Also what importlib has imported by a computed name.
+        modules = {each.__name__ for each in bound if isinstance(each, ModuleType) and each.__name__ not in beside}
+        with _blaming(path):
+            found = modules_elsewhere(sources_of(path) | set(beside.values()), modules | new | beside.keys())
+        return _code_of(module, sources_of(path) | set(beside.values()), found.values(), modules | new, folder)
+
+
+def _code_of(
+    module: ModuleType, sources: set[Path], found: Collection[Module], modules: Collection[str], folder: Path
+) -> LoadedCode:
+    """Return the module of a file with its code: `sources`, and those `found`; `modules` are all that were imported."""
+    beside = [each for each in found if each.place.is_relative_to(folder) and each.place.is_file()]
+    sources = sources | {each.place for each in beside}
+    elsewhere = [each for each in found if each not in beside]
+    code = code_of_files(sources, folder) | digests_of(elsewhere)
+    names = {name for each in elsewhere for name in each.imports()} | set(modules)
+    return LoadedCode(module, sources | {each.place for each in elsewhere}, code, versions_of(sources, names))
 
 
 def import_beside(name: str, folder: Path) -> None:
@@ -178,15 +204,25 @@ def import_beside(name: str, folder: Path) -> None:
             importlib.import_module(name)
 
 
-def code_beside(folder: Path) -> dict[str, str]:
-    """Return name -> sha256 of what has been imported from a folder and below, with what that imports there."""
+def code_beside(folder: Path, *modules: str) -> dict[str, str]:
+    """Return name -> sha256 of what has been imported from a folder and below, with what that imports.
+
+    And of `modules`, where these are no installed packages.
+    """
     sources = {each for file in _beside(folder).values() for each in sources_of(file)}
-    return code_of_files(sources, folder)
+    found = modules_elsewhere(sources, modules).values()
+    return code_of_files(sources, folder) | digests_of(each for each in found if not each.file.is_relative_to(folder))
 
 
 def _declared(files: object, place: Path, base: Path) -> dict[str, Path]:
-    try:
+    with _blaming(place):
         return declared_files(files, place.parent, base)
+
+
+@contextmanager
+def _blaming(place: Path) -> Iterator[None]:
+    try:
+        yield
     except DefinitionError as error:
         raise DefinitionError(f"{place}: {error}") from None
 
@@ -247,4 +283,18 @@ def _in_front(folder: str) -> Iterator[None]:
         yield
     finally:
         sys.path.remove(folder)
-        sys.path.append(folder)
+        if folder not in sys.path:
+            sys.path.append(folder)
+            _LATE.append(folder)
+
+
+@contextmanager
+def _without_others(folder: str | Path) -> Iterator[None]:
+    """Look into no folder of another system of this process: workers that have this one alone find the same."""
+    others = [each for each in _LATE if each != str(folder) and each in sys.path]
+    for each in others:
+        sys.path.remove(each)
+    try:
+        yield
+    finally:
+        sys.path += others

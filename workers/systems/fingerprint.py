@@ -5,8 +5,9 @@ import hashlib
 import importlib.util
 import re
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
+from functools import cache
 from importlib.metadata import PackageNotFoundError, distribution, packages_distributions, requires, version
 from pathlib import Path
 
@@ -63,7 +64,7 @@ def versions_of(files: Iterable[Path], modules: Iterable[str] = ()) -> dict[str,
     Of the packages that these require in turn as well. `modules` are further ones that were imported. What else a
     process has loaded changes nothing: every worker finds the same.
     """
-    names = {name for file in files for level, name in _imports(file) if not level} | set(modules)
+    names = {name for file in files for level, name in imports_of(file.read_bytes()) if not level} | set(modules)
     outside = {name.partition(".")[0] for name in names} - set(sys.stdlib_module_names) - {"perfbound", "__future__"}
     direct = dict(each for name in outside if (each := _distribution(name)))
     return dict(sorted((required_by(*direct) | direct).items()))
@@ -94,7 +95,7 @@ def _required(name: str) -> Iterator[tuple[str, str]]:
 
 
 def _imported_files(source: Path, folder: Path) -> Iterator[Path]:
-    for level, name in _imports(source):
+    for level, name in imports_of(source.read_bytes()):
         if not level and name.partition(".")[0] in LOADED_BEFORE:
             continue
         base = source.parents[level - 1] if level else folder
@@ -106,10 +107,10 @@ def _imported_files(source: Path, folder: Path) -> Iterator[Path]:
             yield from (file for file in (each.with_suffix(".py"), each / "__init__.py") if file.is_file())
 
 
-def _imports(source: Path) -> tuple[tuple[int, str], ...]:
+def imports_of(content: bytes) -> tuple[tuple[int, str], ...]:
     """Return (level, dotted name) of every import statement of a file, wherever it stands; level 0 is absolute."""
     try:
-        tree = ast.parse(source.read_bytes())
+        tree = ast.parse(content)
     except (SyntaxError, ValueError):
         return ()  # no Python; importing it says so
     found: list[tuple[int, str]] = []
@@ -128,6 +129,11 @@ def _distribution(name: str) -> tuple[str, str] | None:
         found = distribution(name)
         return found.metadata["Name"], found.version
     except PackageNotFoundError:
-        for other in packages_distributions().get(name, ()):  # as of `sklearn`; takes a while
+        for other in _distributions_by_module().get(name, ()):  # as of `sklearn`
             return other, version(other)
     return None
+
+
+@cache
+def _distributions_by_module() -> Mapping[str, list[str]]:
+    return packages_distributions()  # takes a while

@@ -135,8 +135,11 @@ def verdict_words(found: CampaignVerdict) -> str:
     return f"{found.verdict}, rests on {found.rests_on}" if found.rests_on else found.verdict
 
 
-def verdict_lines(found: CampaignVerdict) -> Iterator[str]:
-    """Yield the verdict, its reasons, what would help, and how many rollouts violate the specification."""
+def verdict_lines(found: CampaignVerdict, *, vacuous: bool = False) -> Iterator[str]:
+    """Yield the verdict, its reasons, what would help, and how many rollouts violate the specification.
+
+    Beside a violation a bound that is `vacuous` is not worth a line.
+    """
     yield f"VERDICT  {verdict_words(found)}"
     if found.without_kernel:
         yield found.without_kernel
@@ -144,7 +147,8 @@ def verdict_lines(found: CampaignVerdict) -> Iterator[str]:
     # Under VIOLATED a bound reads like a pass, and is not the verdict.
     besides = "The bound that was computed too: " if found.verdict == "VIOLATED" else ""
     claim = f"{besides}{_uncapitalised(found.claim) if besides else found.claim}."
-    yield from (claim, *found.reasons) if found.verdict == "SHOWN" else (*found.reasons, claim)
+    claims = () if vacuous and besides else (claim,)
+    yield from (*claims, *found.reasons) if found.verdict == "SHOWN" else (*found.reasons, *claims)
     for sentence in found.advice:
         yield f"What would help: {_uncapitalised(sentence)}"
     if count := violation_words(found):

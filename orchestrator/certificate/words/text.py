@@ -463,7 +463,9 @@ def _problem(problem: ProblemResult, console: Console) -> None:
     end = _ending(problem)
     plain_line(console, f"  {problem.key}", "bold")
     shown = floored(problem.bound, sense, problem.by_clip)
-    alone = " (the clip alone proves it)" if is_vacuous(problem.bound, sense, problem.by_clip) else ""
+    # Of a probability no clip is given.
+    alone = "the clip alone proves it" if "clipped" in problem.objective else "it holds without any rollout"
+    alone = f" ({alone})" if is_vacuous(problem.bound, sense, problem.by_clip) else ""
     bound = outward(shown, sense)
     plain_line(console, f"    {problem.objective} {sense} {bound}{alone}, {short_chance(problem.probability)}")
     counts = ((problem.rollouts.nominal, "nominal"), (problem.rollouts.true, "true"))

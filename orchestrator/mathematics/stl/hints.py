@@ -30,6 +30,8 @@ UNTIL = ("until", "until_from", "since")
 BETWEEN = frozenset({*UNTIL, "and", "or", "implies"})
 _BEGINNINGS = ("always", "eventually", "historically", "once")
 _OPERATORS = (*_BEGINNINGS, *UNTIL, "next", "previous", "rise", "fall", "not", "and", "or", "implies")
+_TIMED = frozenset({*_BEGINNINGS, *UNTIL})
+"""Operators that may have an interval."""
 _OTHERWISE = {
     "ln": "write log(x), the natural logarithm",
     "log10": "write log(x) / log(10)",
@@ -124,7 +126,9 @@ def clash(formula: str, known: Collection[str]) -> FormulaToken | None:
 
 def unknown(name: str, after: FormulaToken, known: Collection[str]) -> str:
     """Return why `name` is no column."""
-    near = _meant(name, {*known, *_BEGINNINGS} if after.text == "[" else known)
+    if after.text == "[" and _nearest(name, {*known, *_TIMED}) in _TIMED:
+        return f"there is no operator {name!r}; {_meant(name, _TIMED)}there are {', '.join(_OPERATORS)}"
+    near = _meant(name, known)
     if "." in name:
         near = f"a name has no dot, write _; {_of_dots(name, known) or near}"
     return f"unknown column {name!r}; {near}known are {', '.join(known)}"

@@ -8,9 +8,10 @@
 """
 
 import math
+from collections.abc import Sequence
 
 from .errors import FormulaError
-from .text import excerpt, number, operator
+from .text import excerpt, head, number, operator
 from .tree import Ahead, Behind, Comparison, Formula, Interval, Since, operands
 
 __all__ = ["check_horizon", "horizon"]
@@ -55,11 +56,11 @@ def check_horizon(tree: Formula, duration: float, *, slack: float = 0.0) -> None
     """
     if not (math.isfinite(duration) and duration >= 0):
         raise ValueError(f"a trajectory lasts 0 s or longer, not {duration!r}")
-    _check(tree, 0.0, (duration, duration + slack + ROUND_OFF), None)
+    _check(tree, 0.0, (duration, duration + slack + ROUND_OFF), ())
 
 
-def _check(tree: Formula, latest: float, end: tuple[float, float], unbounded: Ahead | None) -> None:
-    """Check `tree`, read until `latest`, under the operator `unbounded` if that is why it is read so late.
+def _check(tree: Formula, latest: float, end: tuple[float, float], around: tuple[Ahead, ...]) -> None:
+    """Check `tree`, read until `latest`, under the operators `around` it, the innermost one last.
 
     `end` is the duration, and the latest moment that is the instant of the last sample.
     """
@@ -70,12 +71,12 @@ def _check(tree: Formula, latest: float, end: tuple[float, float], unbounded: Ah
         # Read until `latest`, the interval needs a sample this late.
         reach = latest + _last(tree.interval)
         if reach > last:
-            raise FormulaError(_reason(tree, reach, duration, unbounded))
-        latest, unbounded = (reach, unbounded) if tree.interval.bounded else (duration, tree)
+            raise FormulaError(_reason(tree, reach, duration, around))
+        latest, around = reach if tree.interval.bounded else duration, (*around, tree)
     ago = tree.interval.low if isinstance(tree, Behind) else 0.0
     for operand in operands(tree):
         now = isinstance(tree, Since) and operand is tree.left
-        _check(operand, latest if now else latest - ago, end, unbounded)
+        _check(operand, latest if now else latest - ago, end, around)
 
 
 def _last(interval: Interval) -> float:
@@ -83,7 +84,16 @@ def _last(interval: Interval) -> float:
     return interval.high if interval.bounded else interval.low
 
 
-def _reason(tree: Ahead, reach: float, duration: float, unbounded: Ahead | None) -> str:
+def _reason(tree: Ahead, reach: float, duration: float, around: Sequence[Ahead]) -> str:
+    unbounded = next((each for each in reversed(around) if not each.interval.bounded), None)
+    ends = [*(each.interval.high for each in around), _last(tree.interval)]
+    if unbounded is None and around and math.isclose(sum(ends), reach):
+        nested = " inside ".join(f"`{head(each)}`" for each in (tree, *reversed(around)))
+        total = " + ".join(f"{each:.9g}" for each in ends)
+        return (
+            f"{nested} reaches to {total} = {reach:.9g} s, but the trajectory ends at {duration:.9g} s: shorten one of "
+            "the intervals, or lengthen the horizon of the campaign"
+        )
     reaches = f"`{excerpt(tree)}` reaches to {reach:.9g} s, but the trajectory ends at {duration:.9g} s"
     if unbounded is None:
         return f"{reaches}: shorten the interval, or lengthen the horizon of the campaign"

@@ -137,16 +137,39 @@ def worst_moment(tree: Formula, names: Sequence[str], samples: Floats, beyond: B
     rows = np.flatnonzero(found.samples)
     if rows[-1] - rows[0] + 1 != len(rows):
         return None
-    return WorstMoment(int(rows[0]), int(rows[-1]), frozenset(found.columns))
+    return WorstMoment(int(rows[0]), int(rows[-1]), frozenset[str]().union(*map(columns, found.predicates)))
+
+
+def deciding_predicates(
+    tree: Formula, names: Sequence[str], samples: Floats, beyond: Beyond = "refuse"
+) -> frozenset[Comparison]:
+    """Return the predicates at which the robustness of a trajectory (T, n) is attained, at whatever times.
+
+    None where that is not derived.
+
+    Raises:
+        FormulaError: as in `robustness`.
+        ValueError: as in `robustness`.
+
+    >>> from perfbound.orchestrator.mathematics.stl.parser import parse_formula
+    >>> x = np.array([[0.0, 3.0], [1.0, 1.0], [2.0, 1.0]])
+    >>> [each.operator for each in deciding_predicates(parse_formula("always (x >= 2 and x < 9)"), ("t", "x"), x)]
+    ['>=']
+
+    """
+    signals, grid = Signals(names, samples), Grid(samples[:, 0], beyond)
+    grid.check(tree)
+    found = _Deciding(signals, grid)
+    return frozenset(found.predicates) if found.follow(tree, _first_sample(len(grid))) else frozenset()
 
 
 class _Deciding:
-    """The samples at which some predicate decides the robustness, and the columns of these predicates."""
+    """The samples at which some predicate decides the robustness, and these predicates."""
 
     def __init__(self, signals: Signals, grid: Grid) -> None:
         self._signals, self._grid = signals, grid
         self.samples: Flags = np.zeros(len(grid), dtype=np.bool_)
-        self.columns: set[str] = set()
+        self.predicates: set[Comparison] = set()
         self._followed = 0
 
     def follow(self, tree: Formula, deciding: Flags) -> bool:
@@ -158,7 +181,7 @@ class _Deciding:
             return False
         if isinstance(tree, Comparison):
             self.samples |= deciding
-            self.columns |= columns(tree)
+            self.predicates.add(tree)
             return True
         value = self._margins(tree)[deciding][0]
         if isinstance(tree, Until | Since):

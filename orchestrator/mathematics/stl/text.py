@@ -3,6 +3,7 @@
 from .tree import (
     REST,
     Absolute,
+    Ahead,
     Always,
     And,
     Arithmetic,
@@ -30,7 +31,7 @@ from .tree import (
     Until,
 )
 
-__all__ = ["excerpt", "number", "operator", "text"]
+__all__ = ["excerpt", "head", "number", "operator", "text"]
 
 _EXCERPT = 60
 
@@ -69,6 +70,11 @@ def excerpt(tree: Node) -> str:
 def number(value: float) -> str:
     """Return a number in its shortest form: 15, 0.25, 1e-09."""
     return repr(float(value)).removesuffix(".0")
+
+
+def head(tree: Ahead) -> str:
+    """Return the word of an operator with its interval."""
+    return f"{operator(tree)}{_brackets(tree.interval)}"
 
 
 def operator(tree: Temporal | Not) -> str:

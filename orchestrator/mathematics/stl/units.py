@@ -23,7 +23,7 @@ def mixed_units(formulas: Mapping[str, str], units: Mapping[str, str]) -> Iterat
     """
     for name, formula in formulas.items():
         tree = parse_formula(formula, units)
-        found = {_unit(each, units) for each in stl.predicates(tree)}
+        found = {unit_of(each, units) for each in stl.predicates(tree)}
         listed = [each or "numbers" for each in dict.fromkeys(units.values()) if each in found]
         if len(listed) < 2:
             continue
@@ -35,8 +35,8 @@ def mixed_units(formulas: Mapping[str, str], units: Mapping[str, str]) -> Iterat
         )
 
 
-def _unit(predicate: stl.Comparison, units: Mapping[str, str]) -> str | None:
-    """Return the unit of a predicate; None where its columns have several, or are multiplied."""
+def unit_of(predicate: stl.Comparison, units: Mapping[str, str]) -> str | None:
+    """Return the unit of both sides of a predicate; None where its columns have several, or are multiplied."""
     found = {units[name] for name in stl.columns(predicate)}
     multiplied = any(
         (isinstance(each, stl.Arithmetic) and each.operator in "*/^")

@@ -155,6 +155,9 @@ def question_words(header: Header, quantity: Quantity | None, listed: int | None
         )
     if quantity == "failure_probability":
         limit = config.required_at_most
-        at_most = "is asked for, without a limit" if limit is None else f"must be at most {as_required(limit)}"
-        return f"{where}, the probability that a rollout violates it {at_most}."
+        if limit is not None:
+            return f"{where}, the probability that a rollout violates it must be at most {as_required(limit)}."
+        if config.falsify is not None:
+            return "Whether some rollout violates it: a search chooses the tests."
+        return f"{where}, how probable it is that a rollout violates it; the campaign file names no limit."
     return ""

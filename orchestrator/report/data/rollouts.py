@@ -10,7 +10,7 @@ Rank = Literal["worst", "first violation", "median", "best"]
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """A column of one rollout over time, thinned; its extremes are kept."""
+    """A column of one rollout over time, or an expression of the specification; thinned, its extremes are kept."""
 
     label: str
     variant: str
@@ -39,7 +39,7 @@ class DrawnRollout:
     moment: tuple[float, float] | None = None
     """The stretch of time in which the robustness is attained; None where it is not one stretch."""
     columns: tuple[str, ...] = ()
-    """Those that the deciding predicates read."""
+    """Those that the deciding predicates read, and what these compare."""
     failed_at: float | None = None
     """When it ended early, in s, of a system that counts this as a violation: then `margin` is not what decides."""
 
@@ -104,7 +104,7 @@ class RolloutsOfTest:
     rollouts: tuple[Rollout, ...]
     """The worst first, at most 24; only the first few have curves."""
     limit_columns: tuple[str, ...] = ()
-    """The column of each limit."""
+    """The column of each limit, or the expression."""
     error: str | None = None
     """Files that could not be read, in words; their curves are missing."""
     inputs: tuple[InputCurve, ...] = ()

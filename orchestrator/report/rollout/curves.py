@@ -1,6 +1,9 @@
-"""Curves of rollouts: the columns of a problem, their limits, and their values, thinned."""
+"""Curves of rollouts: the quantities of a problem, their limits, and their values, thinned.
 
-from collections.abc import Iterator, Sequence
+A quantity is a column, or an expression that the specification compares, such as `y2 - y1`; its text is its name.
+"""
+
+from collections.abc import Collection, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +13,11 @@ from ....schemas.result.facts import Header
 from ....schemas.trajectory.input_signal import InputSignal, start_values
 from ....schemas.trajectory.trajectory import Trajectory
 from ...mathematics.stl.parser import FormulaError, parse_formula
+from ...mathematics.stl.predicates import Signals
+from ...mathematics.stl.text import text
 from ...mathematics.stl.tree import (
     Absolute,
+    Arithmetic,
     Column,
     Comparison,
     Expression,
@@ -21,6 +27,7 @@ from ...mathematics.stl.tree import (
     columns,
     predicates,
 )
+from ...mathematics.stl.units import unit_of
 from ..data.rollouts import Curve, InputCurve
 
 Floats = NDArray[np.float64]
@@ -33,8 +40,8 @@ PER_PERIOD, MOST_INPUT_POINTS = 16, 1000
 """Further ones of a sine."""
 MOST_KNOTS = 100
 """Knots of one input that are marked."""
-MOST_COLUMNS = 3
-"""Columns drawn for one test."""
+MOST_QUANTITIES = 3
+"""Quantities drawn for one test."""
 MOST_FURTHER = 40
 """Further columns of a test, which a reader may ask for."""
 FURTHER_POINTS = 120
@@ -50,16 +57,20 @@ def formula(header: Header) -> Formula | None:
         return None
 
 
-def relevant_columns(header: Header, problem: Problem) -> tuple[str, ...]:
-    """Return the columns that a problem's objective reads, in the order of the system."""
+def relevant_quantities(header: Header, problem: Problem, deciding: Collection[str] = ()) -> tuple[str, ...]:
+    """Return the quantities that a problem's objective reads: those `deciding`, other expressions, then columns."""
     gap = header.config.gap_of(problem)
+    column = problem.column or (None if gap is None else gap.column)
     tree = formula(header)
-    wanted: frozenset[str | None] = columns(tree) if tree else frozenset()
-    if problem.column is not None:
-        wanted = frozenset({problem.column})
-    elif gap is not None and gap.column is not None:
-        wanted = frozenset({gap.column})
-    return tuple(column.name for column in header.spec.columns if column.name in wanted)[:MOST_COLUMNS]
+    if column is not None or tree is None:
+        return () if column is None else (column,)
+    compared = [quantity(predicate) for predicate in predicates(tree)]
+    read, own = columns(tree), [each.name for each in header.spec.columns]
+    # The time against the time shows nothing.
+    wanted = [name for name in own[1:] if name in read] or own[:1]
+    first = [name for name in compared if name in deciding and name != own[0]]
+    expressions = [name for name in compared if name not in own]
+    return tuple(dict.fromkeys([*first, *expressions, *wanted]))[:MOST_QUANTITIES]
 
 
 def further_columns(header: Header, shown: Sequence[str]) -> tuple[str, ...]:
@@ -68,15 +79,32 @@ def further_columns(header: Header, shown: Sequence[str]) -> tuple[str, ...]:
 
 
 def limits(header: Header, names: Sequence[str]) -> tuple[tuple[str, float], ...]:
-    """Return (column, limit) of every predicate that compares one column, or its absolute value, with a number."""
+    """Return (quantity, limit) of every predicate about one of `names`; of an absolute value two."""
     tree = formula(header)
     found = {limit for predicate in predicates(tree) for limit in _limits(predicate)} if tree else set()
     return tuple(limit for limit in sorted(found) if limit[0] in names)
 
 
-def column_unit(header: Header, name: str) -> str:
-    """Return the unit of a column of the system."""
-    return next(column.unit for column in header.spec.columns if column.name == name)
+def quantity(predicate: Comparison) -> str:
+    """Return what a predicate compares with a number: a column, or one of its sides, or both as a difference.
+
+    >>> [quantity(parse_formula(text)) for text in ("abs(phi) <= 0.95", "y2 - y1 <= 20", "speed < 2 * rpm")]
+    ['phi', 'y2 - y1', 'speed - 2 * rpm']
+    """
+    return next(_limits(predicate))[0]
+
+
+def quantity_unit(header: Header, name: str) -> str:
+    """Return the unit of a quantity; empty for an expression that has none of its columns."""
+    units = header.spec.units
+    return units[name] if name in units else unit_of(_predicate(name), units) or ""
+
+
+def values_of(trajectory: Trajectory, name: str) -> Floats:
+    """Return the values of a quantity over a trajectory, (T,)."""
+    if name in trajectory.columns:
+        return trajectory.column(name)
+    return Signals(trajectory.columns, trajectory.samples).any_margins(_predicate(name))
 
 
 def of_trajectory(
@@ -93,8 +121,8 @@ def of_trajectory(
     if len(trajectory.samples) < 2:
         return
     for name in names:
-        t, values = thinned(trajectory.samples[:, 0], trajectory.column(name), most)
-        yield Curve(label, variant, name, column_unit(header, name), t, values, rollout)
+        t, values = thinned(trajectory.samples[:, 0], values_of(trajectory, name), most)
+        yield Curve(label, variant, name, quantity_unit(header, name), t, values, rollout)
 
 
 def of_signals(header: Header, x: Sequence[float]) -> Iterator[InputCurve]:
@@ -148,9 +176,11 @@ def thinned(t: Floats, values: Floats, most: int = MOST_POINTS) -> tuple[tuple[f
 
 
 def _limits(predicate: Comparison) -> Iterator[tuple[str, float]]:
-    """Yield (column, limit) if one side is a column and the other a number; two limits for an absolute value."""
+    """Yield the limits of what a predicate compares: two for an absolute value of a column."""
     for side, other in ((predicate.left, predicate.right), (predicate.right, predicate.left)):
         match side, _constant(other):
+            case _, None:
+                continue
             case Column(name), float(limit):
                 yield name, limit
             case Negative(Column(name)), float(limit):
@@ -158,6 +188,17 @@ def _limits(predicate: Comparison) -> Iterator[tuple[str, float]]:
             case Absolute(Column(name)), float(limit):
                 yield name, -limit
                 yield name, limit
+            case _, float(limit):
+                yield text(side), limit
+        return
+    yield text(Arithmetic("-", predicate.left, predicate.right)), 0.0
+
+
+def _predicate(name: str) -> Comparison:
+    """Return a predicate whose margin is the quantity."""
+    found = parse_formula(f"{name} >= 0")
+    assert isinstance(found, Comparison), "the text of an expression"
+    return found
 
 
 def _constant(tree: Expression) -> float | None:

@@ -9,9 +9,11 @@ from ....schemas.file.problem_models import Problem
 from ....schemas.result.facts import Header, RolloutFact
 from ....schemas.trajectory.batch import Batch, BatchFile
 from ....schemas.trajectory.reduced import Reduced, read_stored
-from ....schemas.trajectory.trajectory import File, read_mcap
+from ....schemas.trajectory.trajectory import File, Trajectory, read_mcap
+from ....schemas.values import Beyond
 from ...campaign.seeds import VARIANTS
 from ...certificate.words.format import replay_command
+from ...mathematics.stl.tree import Formula
 from ...store import files
 from ...store.export_tables import robustness_unit
 from ..data.rollouts import Curve, DrawnRollout, DrawnValue, Rollout, RolloutsOfTest
@@ -38,29 +40,26 @@ def of_test(
 
     `system` is the reference of a system that is not installed. Rollouts `also` have curves, whatever their robustness.
     """
-    columns = curves.relevant_columns(header, problem)
-    others = curves.further_columns(header, columns)
+    tree, beyond = curves.formula(header), header.config.beyond
+    read, errors = _read(directory, _with_curves(facts, also))
+    names = curves.relevant_quantities(header, problem, _deciding(read, tree, beyond))
+    others = curves.further_columns(header, names)
     further = others[: curves.MOST_FURTHER]
-    limits, tree = curves.limits(header, (*columns, *further)), curves.formula(header)
-    traces, more, drawn, errors = list[Curve](), list[Curve](), list[DrawnRollout](), list[str]()
-    for fact in _with_curves(facts, also):
-        try:
-            trajectory = read_recorded(directory, fact).trajectory
-        except PerfboundError as error:
-            errors.append(str(error))
-        else:
-            label = f"{fact.rollout.variant}, replicate {fact.rollout.replicate}"
-            of_rollout = partial(
-                curves.of_trajectory,
-                header,
-                trajectory=trajectory,
-                label=label,
-                variant=fact.rollout.variant,
-                rollout=str(fact.rollout),
-            )
-            traces += of_rollout(columns)
-            more += of_rollout(further, most=curves.FURTHER_POINTS)
-            drawn.append(over_time.with_margin(fact, trajectory, tree, header.spec.after_end, header.config.beyond))
+    limits = curves.limits(header, (*names, *further))
+    traces, more, drawn = list[Curve](), list[Curve](), list[DrawnRollout]()
+    for fact, trajectory in read:
+        label = f"{fact.rollout.variant}, replicate {fact.rollout.replicate}"
+        of_rollout = partial(
+            curves.of_trajectory,
+            header,
+            trajectory=trajectory,
+            label=label,
+            variant=fact.rollout.variant,
+            rollout=str(fact.rollout),
+        )
+        traces += of_rollout(names)
+        more += of_rollout(further, most=curves.FURTHER_POINTS)
+        drawn.append(over_time.with_margin(fact, trajectory, tree, header.spec.after_end, beyond))
     shown, listed = over_time.shown_formula(tree), _worst_first(facts)[:MOST_ROLLOUTS]
     return RolloutsOfTest(
         problem=facts[0].rollout.problem,
@@ -83,6 +82,25 @@ def of_test(
         more_columns=len(others) - len(further),
         x=x,
     )
+
+
+def _read(directory: Path, facts: Iterable[RolloutFact]) -> tuple[list[tuple[RolloutFact, Trajectory]], list[str]]:
+    """Return the trajectories of rollouts, and of files that cannot be read the reasons."""
+    read, errors = list[tuple[RolloutFact, Trajectory]](), list[str]()
+    for fact in facts:
+        try:
+            read.append((fact, read_recorded(directory, fact).trajectory))
+        except PerfboundError as error:
+            errors.append(str(error))
+    return read, errors
+
+
+def _deciding(read: Sequence[tuple[RolloutFact, Trajectory]], tree: Formula | None, beyond: Beyond) -> frozenset[str]:
+    """Return the quantities that decide the worst of several rollouts."""
+    rated = [(fact.robustness, trajectory) for fact, trajectory in read if fact.robustness is not None]
+    if not rated:
+        return frozenset()
+    return over_time.deciding_quantities(min(rated, key=lambda each: each[0])[1], tree, beyond)
 
 
 def disturbances_of(header: Header, facts: Sequence[RolloutFact]) -> list[tuple[DrawnValue, ...]]:

@@ -6,11 +6,12 @@ from ....schemas.result.facts import RolloutFact
 from ....schemas.system import ENDED, AfterEnd
 from ....schemas.trajectory.trajectory import Trajectory
 from ....schemas.values import Beyond
-from ...mathematics.stl.over_time import outermost, robustness_signal, worst_moment
+from ...mathematics.stl.over_time import deciding_predicates, outermost, robustness_signal, worst_moment
 from ...mathematics.stl.text import text
 from ...mathematics.stl.tree import Always, Eventually, Formula
+from ...mathematics.stl.tree import columns as read_columns
 from ..data.rollouts import DrawnRollout
-from .curves import thinned
+from .curves import quantity, thinned
 
 
 def shown_formula(tree: Formula | None) -> tuple[str, str]:
@@ -31,6 +32,17 @@ def shown_formula(tree: Formula | None) -> tuple[str, str]:
             return text(other), "first"
 
 
+def deciding_quantities(trajectory: Trajectory, tree: Formula | None, beyond: Beyond = "refuse") -> frozenset[str]:
+    """Return what decides the robustness of a trajectory: the columns that its predicates read, and their quantities.
+
+    None without a specification, or where it is not derived.
+    """
+    if tree is None:
+        return frozenset()
+    found = deciding_predicates(tree, trajectory.columns, trajectory.samples, beyond)
+    return frozenset(map(quantity, found)).union(*map(read_columns, found))
+
+
 def with_margin(
     fact: RolloutFact,
     trajectory: Trajectory,
@@ -48,7 +60,8 @@ def with_margin(
         # Down the tree of the formula, not where the signal is least: right for nested operators and until as well.
         found = worst_moment(tree, trajectory.columns, samples, beyond)
         if found is not None:
-            moment, columns = (float(samples[found.first, 0]), float(samples[found.last, 0])), found.columns
+            moment = float(samples[found.first, 0]), float(samples[found.last, 0])
+            columns = deciding_quantities(trajectory, tree, beyond)
     failed_at = fact.ended if after_end == "fail" and fact.robustness is not None else None
     if failed_at is not None:
         moment, columns = (failed_at, failed_at), frozenset({ENDED.name})

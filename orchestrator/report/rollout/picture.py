@@ -11,27 +11,32 @@ from matplotlib.figure import Figure
 
 from ....schemas.trajectory.trajectory import Trajectory
 from ..style import BLUE, RED, with_unit
+from .curves import values_of
 
 WIDTH = 10.0
 """Inches."""
 DPI = 150
 CHARACTERS, LINE = 115, 0.17
 """Of a line of the title, and its height in inches."""
+LABEL, TITLE = 20, 70
+"""Characters beside a panel, and above it."""
 STYLE: dict[Any, Any] = {"font.family": "DejaVu Sans", "font.size": 9, "axes.linewidth": 0.6}
 
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """One column over time, simulated again and recorded, with the limits of the specification."""
+    """One quantity over time, simulated again and recorded, with the limits of the specification."""
 
-    column: str
+    quantity: str
     unit: str
     limits: tuple[float, ...] = ()
+    marked: bool = True
+    """Whether it has a mark at the worst sample."""
 
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """The content of a picture; `worst` is the sample with the least margin, if there are margins."""
+    """The content of a picture; `worst` is the sample that decides the robustness, where it is one."""
 
     title: str
     again: Trajectory
@@ -66,15 +71,19 @@ def _draw_panel(axes: Axes, picture: Picture, panel: Panel) -> None:
     # A single sample has no line.
     marker = "o" if len(picture.again.samples) == 1 else "-"
     if picture.recorded is not None:
-        t, values = picture.recorded.samples[:, 0], picture.recorded.column(panel.column)
+        t, values = picture.recorded.samples[:, 0], values_of(picture.recorded, panel.quantity)
         axes.plot(t, values, marker, color=BLUE, alpha=0.3, linewidth=4, markersize=9, label="recorded")
-    t, values = picture.again.samples[:, 0], picture.again.column(panel.column)
+    t, values = picture.again.samples[:, 0], values_of(picture.again, panel.quantity)
     axes.plot(t, values, marker, color=BLUE, linewidth=1, markersize=4, label="simulated again")
     for limit in panel.limits:
         axes.axhline(limit, color=RED, linestyle="--", linewidth=0.9)
-    if picture.worst is not None:
+    if picture.worst is not None and panel.marked:
         axes.plot([t[picture.worst]], [values[picture.worst]], "o", color=RED, markersize=5)
-    axes.set_ylabel(with_unit(panel.column, panel.unit))
+    if len(panel.quantity) <= LABEL:
+        axes.set_ylabel(with_unit(panel.quantity, panel.unit))
+    else:  # an expression is longer than a small panel is high
+        name = panel.quantity if len(panel.quantity) <= TITLE else f"{panel.quantity[: TITLE - 3]}..."
+        axes.set_title(with_unit(name, panel.unit), loc="left", fontsize=9)
     axes.spines[["top", "right"]].set_visible(False)
     axes.margins(x=0.01)
     if picture.recorded is not None:

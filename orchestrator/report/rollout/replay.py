@@ -13,9 +13,9 @@ from ....schemas.trajectory.batch import digest_of, read_batch
 from ....schemas.trajectory.trajectory import Floats, Trajectory, decode
 from ....schemas.values import Beyond
 from ...fleet.children.simulate import draw_to, simulate_to
-from ...mathematics.stl.over_time import robustness_signal
+from ...mathematics.stl.over_time import robustness_signal, worst_moment
 from ...mathematics.stl.tree import Formula
-from . import curves
+from . import curves, over_time
 from .comparison import Deviation, compare, lines
 from .load import RecordedRollout, description, load_recorded
 
@@ -96,7 +96,7 @@ def _fault(found: RecordedRollout, deviation: Deviation) -> str:
     if deviation.worst is None:
         return f"simulated again, {deviation.mismatch}"
     worst = deviation.worst
-    unit = curves.column_unit(found.header, worst.column)
+    unit = curves.quantity_unit(found.header, worst.column)
     return (
         f"simulated again, {worst.column} differs by up to {worst.largest:.3g} {unit} at t = {worst.at:.3f} s: "
         "the rollout does not follow from its seed alone, or this machine computes other floating-point results "
@@ -112,9 +112,10 @@ def _picture(found: RecordedRollout, again: Trajectory) -> bytes:
     problems = header.config.problems
     # A closing check has no columns of its own: those of the first problem.
     problem = next((each for each in problems if each.name == found.fact.rollout.problem), problems[0])
-    columns = curves.relevant_columns(header, problem) or again.columns[1:2]
-    limits = curves.limits(header, columns)
-    margin = margins(curves.formula(header), again, header.config.beyond)
+    tree, beyond = curves.formula(header), header.config.beyond
+    deciding = over_time.deciding_quantities(again, tree, beyond)
+    names = curves.relevant_quantities(header, problem, deciding) or again.columns[1:2]
+    limits = curves.limits(header, names)
     return picture.drawn(
         picture.Picture(
             title=_title(found),
@@ -122,13 +123,27 @@ def _picture(found: RecordedRollout, again: Trajectory) -> bytes:
             recorded=found.trajectory,
             panels=tuple(
                 picture.Panel(
-                    name, curves.column_unit(header, name), tuple(limit for of, limit in limits if of == name)
+                    name,
+                    curves.quantity_unit(header, name),
+                    tuple(limit for of, limit in limits if of == name),
+                    marked=name in deciding or not deciding,
                 )
-                for name in columns
+                for name in names
             ),
-            worst=None if margin is None else int(margin.argmin()),
+            worst=_worst(tree, again, beyond),
         )
     )
+
+
+def _worst(tree: Formula | None, trajectory: Trajectory, beyond: Beyond) -> int | None:
+    """Return the sample at which the robustness is attained, the first one of several; None if there is none."""
+    if tree is None:
+        return None
+    moment = worst_moment(tree, trajectory.columns, trajectory.samples, beyond)
+    margin = margins(tree, trajectory, beyond) if moment is None else None
+    if moment is not None:
+        return moment.first
+    return None if margin is None else int(margin.argmin())
 
 
 def margins(tree: Formula | None, trajectory: Trajectory, beyond: Beyond = "refuse") -> Floats | None:

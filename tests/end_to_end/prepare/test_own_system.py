@@ -133,6 +133,33 @@ def test_a_changed_function_does_not_resume(started: Processes, tmp_path: Path) 
     assert started.run("perfbound", "resume", directory, "--system", f"{elsewhere / 'cars.py'}:cars").code == 0
 
 
+def test_modules_of_pythonpath_are_part_of_the_campaign(started: Processes, tmp_path: Path) -> None:
+    """The simulator lies outside the folder of the system, elsewhere on another machine, and does not change."""
+    file, directory = copied(tmp_path / "cars"), tmp_path / "run"
+    code = file.with_name("cars.py")
+    simulators = [tmp_path / name for name in ("here", "there")]
+    for each in simulators:
+        each.mkdir()
+        shutil.copy(code, each / "simulator.py")
+    code.write_text("from simulator import cars\n")
+    first = started.start("perfbound", "run", file, "--out", directory, "--workers", "1", PYTHONPATH=str(simulators[0]))
+    wait_for(lambda: recorded(directory) >= 5)
+    first.popen.kill()
+    first.wait()
+    before = (simulators[0] / "simulator.py").read_text()
+    (simulators[0] / "simulator.py").write_text(before.replace("7 * np.maximum", "9 * np.maximum"))
+    refused = started.run("perfbound", "resume", directory, PYTHONPATH=str(simulators[0]))
+    assert refused.code == 1
+    assert "this campaign was started: module simulator is another one here" in refused.last_line
+    assert started.run("perfbound", "resume", directory, PYTHONPATH=str(simulators[1])).code == 0
+    software = Certificate.model_validate_json(certificate(directory)).predicate.software
+    assert {"cars.py", "module simulator"} < software.keys()
+    verify = ("perfbound", "verify", directory, "--resimulate", "2", "--system", f"{code}:cars")
+    other = started.run(*verify, PYTHONPATH=str(simulators[0]))
+    assert (other.code, "module simulator" in other.out + other.err) == (1, True)
+    assert started.run(*verify, PYTHONPATH=str(simulators[1])).code == 0
+
+
 def test_workers_elsewhere_need_the_same_code(started: Processes, folder: Path, tmp_path: Path) -> None:
     other = tmp_path / "cars.py"
     other.write_text((folder / "cars.py").read_text() + "\n# another one\n")

@@ -119,7 +119,7 @@ def changed(old: str, new: str) -> str:
             "horizon = 15.0",
             "horizont = 15.0",
             "horizont",
-            "did you mean 'horizon'? allowed are batch, beyond, candidates",
+            "did you mean 'horizon'?",
         ),
         ("alpha = 0.05", "alhpa = 0.05", f"{NOMINAL}.alhpa", "did you mean 'alpha'? allowed are alpha"),
         ("nu = 10.0", "mu = 10.0", f"{NOMINAL}.kernel.mu", "allowed are length_scale, nu"),

@@ -35,8 +35,9 @@ def test_no_line_replaces_a_single_sentence() -> None:
 def verdict(header: Header, worst: str | None, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     found = SimpleNamespace(verdict="SHOWN", violations=SimpleNamespace(rollout=worst), repeat="", rests_on="")
     monkeypatch.setattr(result, "verdict_of", lambda *_: found)
-    monkeypatch.setattr(result, "verdict_lines", lambda _: ["VERDICT  SHOWN", "0 of 9 rollouts."])
-    written, certificate = io.StringIO(), cast("Certificate", None)
+    monkeypatch.setattr(result, "verdict_lines", lambda *_, **_others: ["VERDICT  SHOWN", "0 of 9 rollouts."])
+    predicate = SimpleNamespace(claims=(SimpleNamespace(vacuous=False),))
+    written, certificate = io.StringIO(), cast("Certificate", SimpleNamespace(predicate=predicate))
     result.print_verdict(Path("run"), header, certificate, Console(file=written, width=100))
     return written.getvalue().splitlines()
 

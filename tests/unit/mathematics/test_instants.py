@@ -162,10 +162,13 @@ def test_ends_that_are_the_same_instant_cover_it(last: float) -> None:
 def test_a_step_that_is_another_one_is_named_with_the_number_of_samples() -> None:
     found = uncovered(np.arange(11, dtype=np.float64) * 0.01, 1.0)
     assert found is not None
-    assert found.endswith("; 11 samples cover it in steps of 0.1 s, not 0.01 s")
+    assert found.startswith(
+        "11 samples are 1 s in steps of 0.1 s, not of 0.01 s: correct the step, or return 101 samples"
+    )
+    assert "after_end" not in found, "nothing ends early"
     other = uncovered(np.arange(8, dtype=np.float64) * 0.01, 1.0)
     assert other is not None
-    assert "samples cover it" not in other, "no step that anyone means"
+    assert "in steps of" not in other, "no step that anyone means"
 
 
 def test_numbers_that_differ_in_the_eighth_digit_are_printed_with_it() -> None:

@@ -95,11 +95,25 @@ def test_one_that_fails_is_a_line_with_place_and_remedy(monkeypatch: pytest.Monk
     assert "fix this, then run again (nothing was started, and `perfbound check-system test-function`" in line
 
 
+def test_the_campaign_file_is_what_check_system_gets(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """By FILE.py:NAME it would try another horizon, and other knots."""
+
+    def fails(*_arguments: object) -> None:
+        raise ChildRolloutError("x = 1, seed 2: it fails")
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "c.toml").touch()
+    with pytest.raises(CampaignError, match=r"`perfbound check-system c[.]toml` tries more"):
+        checked(monkeypatch, fails)
+
+
 def test_one_that_the_campaign_would_refuse_is_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
     def other(system: ChildSystem, requests: Requests, folder: Path, done: Callable[[int], None]) -> None:
         simulated(system, [each.model_copy(update={"seed": each.seed + 1}) for each in requests], folder, done)  # type: ignore[union-attr]
 
-    with pytest.raises(CampaignError, match=r"the trajectory was simulated for another request \(other seed\); fix"):
+    with pytest.raises(
+        CampaignError, match=r"the trajectory was simulated for another request \(other seed\); at z1.*; fix"
+    ):
         checked(monkeypatch, other)
 
 

@@ -59,6 +59,11 @@ class TestHorizon:
                 "lengthen the horizon of the campaign",
             ),
             (
+                "always[0,10] (x <= 1 or eventually[1,6] y <= 1)",
+                "`eventually[1,6]` inside `always[0,10]` reaches to 10 + 6 = 16 s, but the trajectory ends at 15 s: "
+                "shorten one of the intervals, or lengthen the horizon of the campaign",
+            ),
+            (
                 "always (x <= 1 implies eventually[0,2] y <= 1)",
                 "`eventually[0,2] y <= 1` reaches to 17 s, but the trajectory ends at 15 s, to which the operator "
                 "around it is read (`always (x <= 1 implies eventually[0,2] y <= 1)`): give that one an interval that "

@@ -185,7 +185,7 @@ class TestParser:
             ("x <= 1 & y <= 1 or zz <= 1", 7, "write `x <= 1 and y <= 1 or zz <= 1`; there: unknown column 'zz'"),
             ("always (xx <= 1)", 8, "unknown column 'xx'; did you mean 'x'\\? known are t, x, y"),
             ("allways (x <= 1)", 0, "unknown function 'allways'; did you mean 'always'\\? there are abs, max"),
-            ("alwyas[0,5] x <= 1", 0, "unknown column 'alwyas'; did you mean 'always'\\?"),
+            ("alwyas[0,5] x <= 1", 0, "there is no operator 'alwyas'; did you mean 'always'\\?"),
             ("x <= 1 adn y <= 1", 7, "unexpected 'adn'; did you mean 'and'\\?"),
             ("x <= 1 # y", 7, "unexpected character '#'"),
             ("always[0 5] x <= 1", 9, "',' expected"),

@@ -22,7 +22,7 @@ from perfbound.orchestrator.report.collect.campaign import Collector
 from perfbound.orchestrator.report.collect.workers import MOST_FAILED, WorkerStatistics
 from perfbound.orchestrator.report.data.page import Problem, ReportData, to_json
 from perfbound.orchestrator.report.data.ranges import long_inputs
-from perfbound.orchestrator.report.rollout import curves, of_tests
+from perfbound.orchestrator.report.rollout import curves, of_tests, over_time
 from perfbound.orchestrator.run.page.page_feed import LiveState
 from perfbound.orchestrator.store import facts as recorded_facts
 from perfbound.orchestrator.store.changes import AttemptOutcome, ChangeReader, Changes, Session
@@ -34,7 +34,8 @@ from perfbound.schemas.file.parameters import Range
 from perfbound.schemas.file.space import Scenarios
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.result.facts import Header, ObservationFact, ProposalFact, RolloutFact
-from perfbound.schemas.system import SystemSpec
+from perfbound.schemas.system import Column, SystemSpec
+from perfbound.schemas.trajectory.trajectory import Trajectory
 from perfbound.schemas.values import Band, Proposal
 from perfbound.workers.systems import load_system
 from tests.campaigns import config
@@ -381,6 +382,48 @@ def test_limits_are_read_from_simple_predicates(specification: str, limits: tupl
     assert curves.limits(header(specification), ("phi",)) == limits
 
 
+def chasing(specification: str) -> Header:
+    names = [f"y{k}" for k in range(1, 6)]
+    columns = (Column(name="t", unit="s"), *(Column(name=name, unit="m") for name in names))
+    spec = load_system("segway").spec.model_copy(update={"columns": columns})
+    return Header.new(config("segway-paper", specification=specification), spec, {})
+
+
+CHASE = "always[0,1] ((always[0,1] y2 - y1 <= 20) or (eventually[0,1] y5 - y4 >= 40))"
+
+
+@pytest.mark.parametrize(
+    ("specification", "deciding", "shown"),
+    [
+        (CHASE, ("y2 - y1", "y1", "y2"), ("y2 - y1", "y5 - y4", "y1")),
+        (CHASE, ("y5 - y4", "y5", "y4"), ("y5 - y4", "y2 - y1", "y1")),
+        ("always (y1 <= 1 and y2 <= 1 and y3 <= 1 and y4 <= 1)", ("y4",), ("y4", "y1", "y2")),
+        ("always (y1 <= 2 * y2)", (), ("y1 - 2 * y2", "y1", "y2")),
+        ("always (t >= 1 implies y3 <= 1)", ("t", "y3"), ("y3",)),
+    ],
+)
+def test_what_the_specification_compares_is_drawn_first(
+    specification: str, deciding: tuple[str, ...], shown: tuple[str, ...]
+) -> None:
+    about = chasing(specification)
+    assert curves.relevant_quantities(about, about.config.problems[0], deciding) == shown
+
+
+def test_a_compared_expression_has_values_unit_and_limits() -> None:
+    about = chasing(CHASE)
+    names = ("y2 - y1", "y5 - y4")
+    assert curves.limits(about, names) == (("y2 - y1", 20.0), ("y5 - y4", 40.0))
+    assert curves.limits(chasing("always (y1 <= y2)"), ("y1 - y2",)) == (("y1 - y2", 0.0),)
+    units = [curves.quantity_unit(about, name) for name in ("y1", *names, "y1 * y2")]
+    assert units == ["m", "m", "m", ""]
+    samples = np.array([[0.0, 1, 2, 3, 4, 6], [1.0, 1, 25, 3, 4, 7], [2.0, 1, 4, 3, 4, 8]])
+    trajectory = Trajectory(("t", "y1", "y2", "y3", "y4", "y5"), samples)
+    assert curves.values_of(trajectory, "y2 - y1").tolist() == [1.0, 24.0, 3.0]
+    tree = curves.formula(about)
+    assert over_time.deciding_quantities(trajectory, tree) == {"y2 - y1", "y1", "y2"}
+    assert over_time.deciding_quantities(trajectory, None) == frozenset()
+
+
 def test_the_unit_of_the_objective_is_that_of_its_column() -> None:
     about = header("always (abs(phi) <= 0.95)")
     assert [unit(problem, about.config, about.spec) for problem in about.config.problems] == ["rad", "rad"]
@@ -392,7 +435,7 @@ def test_the_unit_of_the_objective_is_that_of_its_column() -> None:
 
 def test_every_recorded_column_is_of_the_specification_or_a_further_one() -> None:
     about = header("always (abs(phi) <= 0.95)")
-    shown = curves.relevant_columns(about, about.config.problems[0])
+    shown = curves.relevant_quantities(about, about.config.problems[0])
     others = curves.further_columns(about, shown)
     assert shown == ("phi",)
     assert ("t", *sorted((*shown, *others))) == ("t", *sorted(each.name for each in about.spec.columns[1:]))

@@ -604,3 +604,10 @@ def test_a_key_of_the_campaign_below_the_system_is_sent_to_its_place() -> None:
     key, option = caught.value.lines
     assert says(key, "^c.toml: system.deadline: above the first [table]")
     assert says(option, "^c.toml: system.gain: cars has no options")
+
+
+def test_a_misspelt_key_is_the_only_fault_of_what_follows_from_it() -> None:
+    table = 'horizon = 20\nspecification = "always x <= 1"\nfalsfy = {}\nmax_tests = 9\nsystem.name = "a"\n'
+    with pytest.raises(CampaignError) as caught:
+        parse_campaign(f"{table}space.x = [0, 1]\n".encode(), "c.toml")
+    assert caught.value.lines == ("c.toml: falsfy: unknown key; did you mean 'falsify'?",)

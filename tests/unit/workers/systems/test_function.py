@@ -21,7 +21,8 @@ from perfbound.schemas.trajectory.trajectory import read_canonical, read_mcap
 from perfbound.workers import simulate, systems
 from perfbound.workers.simulate import drawn, run_request_on
 from perfbound.workers.systems.decorator import system
-from perfbound.workers.systems.files import MODULE, load_file
+from perfbound.workers.systems.elsewhere import MODULE
+from perfbound.workers.systems.files import load_file
 from perfbound.workers.systems.function import FunctionSystem
 from tests.facts import facts
 
@@ -415,7 +416,8 @@ def test_modules_with_names_of_ours_harm_nothing(folder: Path) -> None:
         ),
         ("\nraise SystemExit(3)", "cars", "cars.py line 2: SystemExit: 3"),
         ("\nraise BaseException('panic')", "cars", "cars.py line 2: BaseException: panic"),
-        (CARS.format(more=""), "bikes", "there is no 'bikes' in it"),
+        (CARS.format(more=""), "bikes", "there is no 'bikes' in it; its systems are cars; name"),
+        (CARS.format(more=""), "car", "there is no 'car' in it; did you mean 'cars'? name"),
         ("def cars(x): return x", "cars", "cars function @perfbound.system"),
         (CARS.format(more="").replace("def cars(x)", "def cars(y)"), "cars", "positional y"),
     ],
