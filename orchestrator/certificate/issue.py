@@ -9,14 +9,17 @@ from ...schemas.base import digest
 from ...schemas.file.bases import bases
 from ...schemas.ids import FileId, RolloutId
 from ...schemas.result import certificate as document
-from ...schemas.result.facts import DiscardFact, Header
+from ...schemas.result.facts import DiscardFact, Header, RolloutFact
 from ..campaign.bounded_parts import bounded_accounts
 from ..campaign.closing.likeliest import LikeliestFailure
 from ..campaign.closing.shrink import Shrink
 from ..campaign.closing.spot_check import LEVEL
 from ..campaign.counterexample import counterexample
 from ..campaign.ledger import Ledger, failed_attempts, observed_rollouts
+from ..campaign.observation import goal_of_search
 from ..mathematics.bounds.one_law.weighted import DEFENSIVE
+from ..mathematics.search.clusters import Cluster
+from ..mathematics.stl.text import text
 from ..store.files import FOLDER
 from .assumptions.audit import ClosingResults, assumptions
 from .assumptions.opinions import workers_honest
@@ -93,6 +96,7 @@ def issue(
         composition=claimed.composition,
         assumptions=tuple(found),
         counterexample=_counterexample(ledger),
+        failures=_failures(ledger),
         bounded=bounded_disturbances(header, claimed.claims[0]),
         regions=None if regions is None else regions.document,
         spot_check=checked,
@@ -112,19 +116,45 @@ def issue(
 
 def _counterexample(ledger: Ledger) -> document.Counterexample | None:
     for account in ledger.accounts.values():
-        if (found := counterexample(account)) is not None and account.last_proposal is not None:
+        if (found := counterexample(account)) is not None:
+            rollout = found.rollout
             return document.Counterexample(
-                rollout=str(found.rollout),
-                test=found.rollout.test,
-                rollouts=len(account.last_rollouts),
-                start=dict(zip(account.plan.parameters, account.last_proposal.x, strict=True)),
-                seed=found.seed,
-                disturbances=_values(ledger.header, found.rollout, account.last_proposal.x, found.seed),
-                robustness=found.robustness or 0.0,
+                rollout=str(rollout.rollout),
+                test=rollout.rollout.test,
+                # A search has single tests, and another campaign ends with the last ones.
+                rollouts=len(account.last_rollouts if account.clusters is None else account.plan.rollouts),
+                start=dict(zip(account.plan.parameters, found.start, strict=True)),
+                seed=rollout.seed,
+                disturbances=_values(ledger.header, rollout.rollout, found.start, rollout.seed),
+                robustness=rollout.robustness or 0.0,
                 shrunk=_shrunk(ledger, account.plan.parameters),
-                likeliest=_likeliest(ledger, account.plan.parameters, found.seed),
+                likeliest=_likeliest(ledger, account.plan.parameters, rollout.seed),
             )
     return None
+
+
+def _failures(ledger: Ledger) -> document.Failures | None:
+    """Return the clusters of failing starts; None of a campaign that ends with the first one, or has none."""
+    for account in ledger.accounts.values():
+        if account.clusters is not None and account.clusters.found:
+            parts = [text(each) for each in goal_of_search(ledger.config, ledger.header.spec)[1]]
+            names = account.plan.parameters
+            clusters = tuple(_cluster(each, names, parts) for each in account.clusters.found)
+            return document.Failures(clusters=clusters, undecided=account.clusters.undecided)
+    return None
+
+
+def _cluster(cluster: Cluster[RolloutFact], parameters: Sequence[str], parts: Sequence[str]) -> document.FailureCluster:
+    worst = cluster.worst
+    return document.FailureCluster(
+        violated=tuple(parts[number] for number in cluster.violated),
+        tests=len(cluster.failures),
+        starts=dict(zip(parameters, zip(*cluster.box, strict=True), strict=True)),
+        start=dict(zip(parameters, worst.start, strict=True)),
+        robustness=worst.margin,
+        rollout=str(worst.test.rollout),
+        seed=worst.test.seed,
+    )
 
 
 def _shrunk(ledger: Ledger, parameters: Sequence[str]) -> document.Shrunk | None:

@@ -323,6 +323,13 @@ PROBLEM_MODELS: dict[MethodName, type[_Problem]] = {
 class Falsify(Model):
     """Where tests come from while a start is sought at which the system fails; an empty table takes every default."""
 
+    until: str = Field(
+        default="counterexample",
+        pattern=r"^(counterexample|budget|([2-9]|1[0-9]|20) clusters)$",
+        exclude_if=lambda until: until == "counterexample",
+        description='where the search ends: with the first failing test, with so many clusters of failing starts (`"3 '
+        'clusters"`, 2 to 20) or `max_tests`, or with `max_tests` alone (`"budget"`)',
+    )
     over: Literal["starts", "disturbances"] = Field(
         default="starts",
         exclude_if=lambda over: over == "starts",
@@ -379,7 +386,15 @@ class Falsify(Model):
                 'shrink: not together with over = "disturbances", after which the likeliest failure is sought; remove '
                 "this key"
             )
+        if self.until != "counterexample" and (self.shrink or self.over == "disturbances"):
+            key = "shrink" if self.shrink else "over"
+            raise ValueError(f"{key}: follows the one counterexample that ends a search; remove this key, or `until`")
         return self
+
+    @property
+    def clusters(self) -> int | None:
+        """How many clusters of failing starts end the search; None where they do not."""
+        return int(self.until.removesuffix(" clusters")) if self.until.endswith(" clusters") else None
 
     @property
     def improving_tests(self) -> int:

@@ -246,8 +246,27 @@ class LikeliestFailure(Model):
     )
 
 
+class FailureCluster(Model):
+    """Failing tests of one kind: the same parts of the specification are violated, from starts of one cluster."""
+
+    violated: tuple[str, ...] = Field(description="these parts; empty where the specification is one part")
+    tests: int
+    starts: dict[str, tuple[float, float]] = Field(description="least and largest value of each parameter")
+    start: dict[str, float] = Field(description="of the worst rollout")
+    robustness: float = Field(description="of the worst rollout, below 0")
+    rollout: str = Field(description="the worst one")
+    seed: int
+
+
+class Failures(Model):
+    """The failures that a search found which went on after the first one."""
+
+    clusters: tuple[FailureCluster, ...] = Field(description="in the order in which they were found")
+    undecided: int = Field(description="failing tests of which it is open whether they are of a cluster")
+
+
 class Counterexample(Model):
-    """The worst rollout of the test that ended the campaign, because it violates the specification."""
+    """The worst rollout of the test that ended the campaign, or of all tests of a search that went on."""
 
     rollout: str
     test: int
@@ -414,7 +433,12 @@ class Predicate(Model):
     composition: CompositionTerms | None
     assumptions: tuple[Assumption, ...]
     counterexample: Counterexample | None = Field(
-        default=None, description="of a campaign with `until_counterexample` that found one"
+        default=None, description="of a campaign with `until_counterexample` or `falsify` that found one"
+    )
+    failures: Failures | None = Field(
+        default=None,
+        exclude_if=lambda failures: failures is None,
+        description="with `falsify.until`, if some test fails",
     )
     bounded: Bounded | None = Field(
         default=None,

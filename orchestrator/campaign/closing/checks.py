@@ -108,9 +108,8 @@ class ClosingChecks:
         found = counterexample(account)
         if found is None:
             return None
-        assert account.last_proposal is not None
         sought = LikeliestFailure if over else Shrink
-        shrink = sought(self._header, found, account.last_proposal.x, self._observer)
+        shrink = sought(self._header, found.rollout, found.start, self._observer)
         return shrink if shrink.plan.max_tests else None
 
     def _importance(self) -> ImportanceSampling | None:
@@ -134,7 +133,7 @@ def cost(header: Header, plans: Mapping[str, ProblemPlan]) -> list[str]:
         least = spot.count(starts)
         more = spot.count(spot.most_tests) - least
         followups = f" and at most {more:,} that follow up" if more else ""
-        unless = " (not after a counterexample)" if header.config.until_counterexample else ""
+        unless = " (not after a counterexample)" if header.config.at_every_moment else ""
         parts.append(f"a spot check of {starts:,} starts with {least:,} rollouts{followups}{unless}")
     if Recheck.wanted(header):
         parts.append(f"a recheck of at most {header.config.recheck:,} rollouts")

@@ -4,7 +4,15 @@ from collections.abc import Mapping, Sequence
 from decimal import ROUND_FLOOR, Context
 
 from ....schemas.amounts import counted, some_of
-from ....schemas.result.certificate import Counterexample, DrawnValue, FailureAtStart, LikeliestFailure, RiskAtStart
+from ....schemas.result.certificate import (
+    Counterexample,
+    DrawnValue,
+    FailureAtStart,
+    FailureCluster,
+    Failures,
+    LikeliestFailure,
+    RiskAtStart,
+)
 from ..assumptions.statements import statement
 from .bound_text import DIGITS, in_unit, outward
 
@@ -86,6 +94,29 @@ def counterexample_parts(found: Counterexample, unit: str, units: Mapping[str, s
     words = f"test {found.test:,} violates the specification: robustness {margin} at {start}{drawn}, seed {found.seed}"
     after = (_shrunk_words(found, unit, units), _likeliest_words(found, unit, units), _at_start_words(found.likeliest))
     return (f"{words} (rollout {found.rollout}{others})", *filter(None, after))
+
+
+def failure_parts(found: Failures | None, unit: str, units: Mapping[str, str] | None = None) -> tuple[str, ...]:
+    """Return how many clusters of failing starts there are, then each, the first one found first; empty for None.
+
+    `unit` and `units` as in `counterexample_parts`.
+    """
+    if found is None:
+        return ()
+    tests = sum(each.tests for each in found.clusters) + found.undecided
+    head = f"{counted(len(found.clusters), 'cluster')} of failing starts, from {counted(tests, 'failing test')}"
+    if found.undecided:
+        head += f", of which {found.undecided:,} may be of one of them or of another"
+    each = (f"cluster {number}: {_cluster_words(one, unit, units)}" for number, one in enumerate(found.clusters, 1))
+    return (head, *each)
+
+
+def _cluster_words(found: FailureCluster, unit: str, units: Mapping[str, str] | None) -> str:
+    """Return what the tests of a cluster violate, how many they are, and the worst one."""
+    violated = f" against {some_of(list(found.violated))}" if found.violated else ""
+    worst = f"robustness {margin_words(found.robustness, unit)} at {named_start(found.start, units)}, seed {found.seed}"
+    which = "worst " if found.tests > 1 else ""
+    return f"{counted(found.tests, 'test')}{violated}, {which}{worst} (rollout {found.rollout})"
 
 
 def _likeliest_words(found: Counterexample, unit: str, units: Mapping[str, str] | None) -> str:

@@ -34,7 +34,7 @@ from ..assumptions.statements import title
 from .bound_text import chance, clip_words, in_unit, margin_text, outward, short_chance, start_words, with_named_starts
 from .console_lines import hanging, heading, plain_line
 from .control_text import control_line, control_sentence
-from .refutation_text import counterexample_parts, refutation_sentence, risk_sentence
+from .refutation_text import counterexample_parts, failure_parts, refutation_sentence, risk_sentence
 from .region_text import region_sentences
 
 # The assumptions
@@ -175,10 +175,14 @@ def print_certificate(
 def print_counterexample(
     predicate: Predicate, console: Console, unit: str, units: Mapping[str, str] | None = None
 ) -> None:
-    """Print the rollout that ended the campaign, if one did; `unit` and `units` as in `print_certificate`."""
+    """Print the rollout that ended the campaign, if one did, and what a search found that went on.
+
+    `unit` and `units` as in `print_certificate`.
+    """
     if predicate.counterexample is not None:
         head = "COUNTEREXAMPLE  "
         first, *later = counterexample_parts(predicate.counterexample, unit, units)
+        later += failure_parts(predicate.failures, unit, units)
         console.print()
         hanging(console, Text(head, "bold red"), first)
         for each in later:

@@ -222,7 +222,7 @@ class Collector:
             counterexample=ending_counterexample(
                 self._problems.values(),
                 violations.worst,
-                predicate.counterexample if predicate else None,
+                predicate,
                 header,
                 command,
             ),
