@@ -11,7 +11,7 @@ from ...schemas.file.config import CampaignConfig
 from ...schemas.result.facts import RolloutFact
 from ...schemas.values import Bound
 from .region import Start
-from .series import Account, FailureClusters, worst_rollout
+from .series import Account, worst_rollout
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,21 +42,18 @@ def _is_found(config: CampaignConfig, account: Account) -> bool:
 
 def counterexample(account: Account) -> Found | None:
     """Return the failing test that ended a problem, or the worst one of a search that went on; None without one."""
+    return min(found_failures(account), key=lambda each: each.rollout.robustness or 0.0, default=None)
+
+
+def found_failures(account: Account) -> list[Found]:
+    """Return the failing test that ended a problem, or the worst one of each cluster of a search that went on."""
     if account.clusters is not None:
-        return _worst(account.clusters)
+        return [Found(each.worst.start, each.worst.test) for each in account.clusters.found]
     last = account.last_bound
     if last is None or last.stopped_by != "counterexample":
-        return None
+        return []
     assert account.last_proposal is not None, "it was tested"
-    return Found(account.last_proposal.x, worst_rollout(account.last_rollouts))
-
-
-def _worst(clusters: FailureClusters) -> Found | None:
-    failures = [each.worst for each in clusters.found]
-    if not failures:
-        return None
-    worst = min(failures, key=lambda each: each.margin)
-    return Found(worst.start, worst.test)
+    return [Found(account.last_proposal.x, worst_rollout(account.last_rollouts))]
 
 
 def _violates(rollout: RolloutFact) -> bool:

@@ -129,6 +129,7 @@ def _counterexample(ledger: Ledger) -> document.Counterexample | None:
                 robustness=rollout.robustness or 0.0,
                 shrunk=_shrunk(ledger, account.plan.parameters),
                 likeliest=_likeliest(ledger, account.plan.parameters, rollout.seed),
+                simplest=None if account.clusters else _simplest(ledger, rollout),
             )
     return None
 
@@ -139,12 +140,14 @@ def _failures(ledger: Ledger) -> document.Failures | None:
         if account.clusters is not None and account.clusters.found:
             parts = [text(each) for each in goal_of_search(ledger.config, ledger.header.spec)[1]]
             names = account.plan.parameters
-            clusters = tuple(_cluster(each, names, parts) for each in account.clusters.found)
+            clusters = tuple(_cluster(ledger, each, names, parts) for each in account.clusters.found)
             return document.Failures(clusters=clusters, undecided=account.clusters.undecided)
     return None
 
 
-def _cluster(cluster: Cluster[RolloutFact], parameters: Sequence[str], parts: Sequence[str]) -> document.FailureCluster:
+def _cluster(
+    ledger: Ledger, cluster: Cluster[RolloutFact], parameters: Sequence[str], parts: Sequence[str]
+) -> document.FailureCluster:
     worst = cluster.worst
     return document.FailureCluster(
         violated=tuple(parts[number] for number in cluster.violated),
@@ -154,6 +157,25 @@ def _cluster(cluster: Cluster[RolloutFact], parameters: Sequence[str], parts: Se
         robustness=worst.margin,
         rollout=str(worst.test.rollout),
         seed=worst.test.seed,
+        simplest=_simplest(ledger, worst.test),
+    )
+
+
+def _simplest(ledger: Ledger, failure: RolloutFact) -> document.Simplest | None:
+    """Return the simplest failure that follows from one; None where none was sought."""
+    sought = ledger.closing.simplest
+    found = None if sought is None else sought.of(failure.rollout)
+    if sought is None or found is None:
+        return None
+    names = [parameter.name for parameter in ledger.header.spec.parameters]
+    start, robustness, rollout = found.best
+    return document.Simplest(
+        nominal=dict(zip(names, sought.nominal, strict=True)),
+        start=dict(zip(names, start, strict=True)),
+        away=tuple(names[number] for number in found.away),
+        robustness=robustness,
+        rollout=str(rollout),
+        rollouts=found.tests,
     )
 
 

@@ -210,6 +210,17 @@ class Shrunk(Model):
     rollouts: int = Field(description="of the bisection; no claim uses them")
 
 
+class Simplest(Model):
+    """The failing start with the fewest parameters away from their nominal values, of those that were tried."""
+
+    nominal: dict[str, float]
+    start: dict[str, float]
+    away: tuple[str, ...] = Field(description="the parameters that are not at their nominal value")
+    robustness: float = Field(description="below 0")
+    rollout: str = Field(description="the failure itself, where no simpler one was found")
+    rollouts: int = Field(description="of this search; no claim uses them")
+
+
 class FailureAtStart(Model):
     """A bound of the probability that a rollout from one start fails, by importance sampling."""
 
@@ -256,6 +267,9 @@ class FailureCluster(Model):
     robustness: float = Field(description="of the worst rollout, below 0")
     rollout: str = Field(description="the worst one")
     seed: int
+    simplest: Simplest | None = Field(
+        default=None, exclude_if=lambda simplest: simplest is None, description="with `falsify.simplest_tests`"
+    )
 
 
 class Failures(Model):
@@ -286,6 +300,11 @@ class Counterexample(Model):
         default=None,
         exclude_if=lambda likeliest: likeliest is None,
         description='with `over = "disturbances"` in `falsify`',
+    )
+    simplest: Simplest | None = Field(
+        default=None,
+        exclude_if=lambda simplest: simplest is None,
+        description="with `falsify.simplest_tests`, of a search that ended with it",
     )
 
 

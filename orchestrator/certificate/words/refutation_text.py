@@ -12,6 +12,7 @@ from ....schemas.result.certificate import (
     Failures,
     LikeliestFailure,
     RiskAtStart,
+    Simplest,
 )
 from ..assumptions.statements import statement
 from .bound_text import DIGITS, in_unit, outward
@@ -92,7 +93,12 @@ def counterexample_parts(found: Counterexample, unit: str, units: Mapping[str, s
     margin = margin_words(found.robustness, unit)
     drawn = f" ({values_words(found.disturbances)})" if found.disturbances else ""
     words = f"test {found.test:,} violates the specification: robustness {margin} at {start}{drawn}, seed {found.seed}"
-    after = (_shrunk_words(found, unit, units), _likeliest_words(found, unit, units), _at_start_words(found.likeliest))
+    after = (
+        _shrunk_words(found, unit, units),
+        _likeliest_words(found, unit, units),
+        _at_start_words(found.likeliest),
+        _simplest_words(found.simplest, unit, units),
+    )
     return (f"{words} (rollout {found.rollout}{others})", *filter(None, after))
 
 
@@ -116,7 +122,37 @@ def _cluster_words(found: FailureCluster, unit: str, units: Mapping[str, str] | 
     violated = f" against {some_of(list(found.violated))}" if found.violated else ""
     worst = f"robustness {margin_words(found.robustness, unit)} at {named_start(found.start, units)}, seed {found.seed}"
     which = "worst " if found.tests > 1 else ""
-    return f"{counted(found.tests, 'test')}{violated}, {which}{worst} (rollout {found.rollout})"
+    words = f"{counted(found.tests, 'test')}{violated}, {which}{worst} (rollout {found.rollout})"
+    simplest = _simplest_words(found.simplest, unit, units)
+    return f"{words}; {simplest}" if simplest else words
+
+
+def _simplest_words(found: Simplest | None, unit: str, units: Mapping[str, str] | None) -> str:
+    """Return with how few parameters away from their nominal values the system still fails; empty for None.
+
+    >>> near = Simplest(
+    ...     nominal={"throttle_3": 0.5, "brake_1": 0.5, "wind": 0.0},
+    ...     start={"throttle_3": 0.9, "brake_1": 0.1, "wind": 0.0},
+    ...     away=("throttle_3", "brake_1"),
+    ...     robustness=-0.25,
+    ...     rollout="simplest.9.nominal.0",
+    ...     rollouts=12,
+    ... )
+    >>> _simplest_words(near, "", {})
+    'it fails with only throttle_3 = 0.9, brake_1 = 0.1 away from their nominal values, robustness -0.2500 (rollout \
+simplest.9.nominal.0), after 12 rollouts with this seed'
+    """
+    if found is None:
+        return ""
+    after = f"after {counted(found.rollouts, 'rollout')} with this seed"
+    margin = f"robustness {margin_words(found.robustness, unit)} (rollout {found.rollout})"
+    if not found.away:
+        return f"it fails with every parameter at its nominal value, {margin}, {after}"
+    if len(found.away) == len(found.start):
+        return f"no parameter could be set to its nominal value without losing the failure, {after}"
+    their = "their nominal values" if len(found.away) > 1 else "its nominal value"
+    left = named_start({name: found.start[name] for name in found.away}, units)
+    return f"it fails with only {left} away from {their}, {margin}, {after}"
 
 
 def _likeliest_words(found: Counterexample, unit: str, units: Mapping[str, str] | None) -> str:
