@@ -352,6 +352,8 @@ class Account(Series):
     robustness: MutableSequence[float] = field(default_factory=lambda: array("d"))
     clusters: FailureClusters | None = None
     """Of a search that goes on after its first failure."""
+    lowest: tuple[tuple[float, ...], RolloutFact] | None = None
+    """Of a search: the start and the rollout of least robustness, of equal ones the first."""
 
     @property
     def budget(self) -> int:
@@ -410,13 +412,19 @@ class Account(Series):
             robustness = {(each.rollout.variant, each.rollout.replicate): each.robustness or 0.0 for each in rollouts}
             gaps = self.plan.values_of(fact.observation.each)
             self.excess = max(self.excess, objectives.excess(self.plan, robustness, gaps))
-        if self.clusters is not None and self.last_proposal is not None:
-            worst = worst_rollout(rollouts)
-            margin = worst.robustness or 0.0
-            self.clusters.observe(self.last_proposal.x, margin, violated_parts(margin, worst.parts), worst)
+        if self.plan.falsify is not None and self.last_proposal is not None:
+            self._seek(self.last_proposal.x, worst_rollout(rollouts))
         margins = [each.robustness for each in rollouts if each.robustness is not None]
         self._take(fact.test, np.array(margins), sum(each.kept for each in rollouts))
         return rollouts
+
+    def _seek(self, start: tuple[float, ...], worst: RolloutFact) -> None:
+        """Take the worst rollout of a test of a search."""
+        margin = worst.robustness or 0.0
+        if self.lowest is None or margin < (self.lowest[1].robustness or 0.0):
+            self.lowest = start, worst
+        if self.clusters is not None:
+            self.clusters.observe(start, margin, violated_parts(margin, worst.parts), worst)
 
     def _take(self, test: int, robustness: NDArray[np.float64], number: int) -> None:
         self.robustness.extend(robustness.tolist())

@@ -279,6 +279,31 @@ class Failures(Model):
     undecided: int = Field(description="failing tests of which it is open whether they are of a cluster")
 
 
+class RandomTests(Model):
+    """The drawn tests of a search, of which no outcome chose a start: how often a random search fails."""
+
+    tests: int
+    failures: int
+    share: tuple[float, float] = Field(description="bounds of the probability that such a test fails")
+    probability: float = Field(description="with which both hold, however the campaign ended")
+
+
+class ClosestStart(Model):
+    """The rollout of least robustness, where none fails."""
+
+    start: dict[str, float]
+    robustness: float
+    rollout: str
+    seed: int
+
+
+class Search(Model):
+    """What the tests of a search show beside its failures."""
+
+    at_random: RandomTests | None = Field(description="with method `sample`, after the first drawn test")
+    closest: ClosestStart | None = Field(description="where no test fails")
+
+
 class Counterexample(Model):
     """The worst rollout of the test that ended the campaign, or of all tests of a search that went on."""
 
@@ -458,6 +483,9 @@ class Predicate(Model):
         default=None,
         exclude_if=lambda failures: failures is None,
         description="with `falsify.until`, if some test fails",
+    )
+    search: Search | None = Field(
+        default=None, exclude_if=lambda search: search is None, description="of a campaign with `falsify`"
     )
     bounded: Bounded | None = Field(
         default=None,

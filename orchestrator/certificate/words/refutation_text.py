@@ -8,8 +8,6 @@ from ....schemas.result.certificate import (
     Counterexample,
     DrawnValue,
     FailureAtStart,
-    FailureCluster,
-    Failures,
     LikeliestFailure,
     RiskAtStart,
     Simplest,
@@ -97,37 +95,12 @@ def counterexample_parts(found: Counterexample, unit: str, units: Mapping[str, s
         _shrunk_words(found, unit, units),
         _likeliest_words(found, unit, units),
         _at_start_words(found.likeliest),
-        _simplest_words(found.simplest, unit, units),
+        simplest_words(found.simplest, unit, units),
     )
     return (f"{words} (rollout {found.rollout}{others})", *filter(None, after))
 
 
-def failure_parts(found: Failures | None, unit: str, units: Mapping[str, str] | None = None) -> tuple[str, ...]:
-    """Return how many clusters of failing starts there are, then each, the first one found first; empty for None.
-
-    `unit` and `units` as in `counterexample_parts`.
-    """
-    if found is None:
-        return ()
-    tests = sum(each.tests for each in found.clusters) + found.undecided
-    head = f"{counted(len(found.clusters), 'cluster')} of failing starts, from {counted(tests, 'failing test')}"
-    if found.undecided:
-        head += f", of which {found.undecided:,} may be of one of them or of another"
-    each = (f"cluster {number}: {_cluster_words(one, unit, units)}" for number, one in enumerate(found.clusters, 1))
-    return (head, *each)
-
-
-def _cluster_words(found: FailureCluster, unit: str, units: Mapping[str, str] | None) -> str:
-    """Return what the tests of a cluster violate, how many they are, and the worst one."""
-    violated = f" against {some_of(list(found.violated))}" if found.violated else ""
-    worst = f"robustness {margin_words(found.robustness, unit)} at {named_start(found.start, units)}, seed {found.seed}"
-    which = "worst " if found.tests > 1 else ""
-    words = f"{counted(found.tests, 'test')}{violated}, {which}{worst} (rollout {found.rollout})"
-    simplest = _simplest_words(found.simplest, unit, units)
-    return f"{words}; {simplest}" if simplest else words
-
-
-def _simplest_words(found: Simplest | None, unit: str, units: Mapping[str, str] | None) -> str:
+def simplest_words(found: Simplest | None, unit: str, units: Mapping[str, str] | None) -> str:
     """Return with how few parameters away from their nominal values the system still fails; empty for None.
 
     >>> near = Simplest(
@@ -138,7 +111,7 @@ def _simplest_words(found: Simplest | None, unit: str, units: Mapping[str, str] 
     ...     rollout="simplest.9.nominal.0",
     ...     rollouts=12,
     ... )
-    >>> _simplest_words(near, "", {})
+    >>> simplest_words(near, "", {})
     'it fails with only throttle_3 = 0.9, brake_1 = 0.1 away from their nominal values, robustness -0.2500 (rollout \
 simplest.9.nominal.0), after 12 rollouts with this seed'
     """
@@ -149,7 +122,7 @@ simplest.9.nominal.0), after 12 rollouts with this seed'
     if not found.away:
         return f"it fails with every parameter at its nominal value, {margin}, {after}"
     if len(found.away) == len(found.start):
-        return f"no parameter could be set to its nominal value without losing the failure, {after}"
+        return f"it fails with none of the groups of parameters at their nominal values that were tried, {after}"
     their = "their nominal values" if len(found.away) > 1 else "its nominal value"
     left = named_start({name: found.start[name] for name in found.away}, units)
     return f"it fails with only {left} away from {their}, {margin}, {after}"

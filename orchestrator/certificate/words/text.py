@@ -34,8 +34,9 @@ from ..assumptions.statements import title
 from .bound_text import chance, clip_words, in_unit, margin_text, outward, short_chance, start_words, with_named_starts
 from .console_lines import hanging, heading, plain_line
 from .control_text import control_line, control_sentence
-from .refutation_text import counterexample_parts, failure_parts, refutation_sentence, risk_sentence
+from .refutation_text import counterexample_parts, refutation_sentence, risk_sentence
 from .region_text import region_sentences
+from .search_text import failure_parts, search_parts
 
 # The assumptions
 
@@ -173,20 +174,37 @@ def print_certificate(
 
 
 def print_counterexample(
-    predicate: Predicate, console: Console, unit: str, units: Mapping[str, str] | None = None
+    predicate: Predicate,
+    console: Console,
+    unit: str,
+    units: Mapping[str, str] | None = None,
+    *,
+    most: int | None = None,
 ) -> None:
-    """Print the rollout that ended the campaign, if one did, and what a search found that went on.
+    """Print the rollout that ended the campaign, if one did, and what a search has found.
 
-    `unit` and `units` as in `print_certificate`.
+    `unit` and `units` as in `print_certificate`, `most` as in `failure_parts`.
     """
-    if predicate.counterexample is not None:
-        head = "COUNTEREXAMPLE  "
-        first, *later = counterexample_parts(predicate.counterexample, unit, units)
-        later += failure_parts(predicate.failures, unit, units)
-        console.print()
-        hanging(console, Text(head, "bold red"), first)
-        for each in later:
-            hanging(console, Text(" " * len(head)), f"{each[0].upper()}{each[1:]}.")
+    found = predicate.counterexample
+    searched = search_parts(predicate.search, unit, units)
+    if found is not None:
+        clusters = failure_parts(predicate.failures, unit, units, most)
+        _headed(
+            console,
+            Text("COUNTEREXAMPLE  ", "bold red"),
+            (*counterexample_parts(found, unit, units), *clusters, *searched),
+        )
+    elif searched:
+        _headed(console, Text("SEARCH  "), searched)
+
+
+def _headed(console: Console, head: Text, parts: Sequence[str]) -> None:
+    """Print parts below each other, the first one behind a head."""
+    first, *later = parts
+    console.print()
+    hanging(console, head, first)
+    for each in later:
+        hanging(console, Text(" " * len(head)), f"{each[0].upper()}{each[1:]}.")
 
 
 def _refuted(broken: Sequence[Assumption], whose: str, console: Console) -> None:

@@ -186,7 +186,7 @@ def ending_counterexample(
     command that simulates a rollout again.
     """
     if predicate is not None and (certified := predicate.counterexample) is not None:
-        sentences = wording.counterexample_sentences(certified, header, predicate.failures)
+        sentences = wording.counterexample_sentences(certified, header) + wording.search_sentences(predicate, header)
         problem = RolloutId.parse(certified.rollout).problem
         return FoundCounterexample(problem, certified.test, sentences, command(certified.rollout))
     for each in problems:
