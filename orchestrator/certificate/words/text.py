@@ -201,10 +201,12 @@ def print_counterexample(
 def _headed(console: Console, head: Text, parts: Sequence[str]) -> None:
     """Print parts below each other, the first one behind a head."""
     first, *later = parts
+    # `hanging` adds to its head.
+    below = " " * len(head)
     console.print()
     hanging(console, head, first)
     for each in later:
-        hanging(console, Text(" " * len(head)), f"{each[0].upper()}{each[1:]}.")
+        hanging(console, Text(below), f"{each[0].upper()}{each[1:]}.")
 
 
 def _refuted(broken: Sequence[Assumption], whose: str, console: Console) -> None:
