@@ -11,6 +11,8 @@ from .refutation_text import margin_words, named_start, simplest_words
 
 MOST_CLUSTERS = 3
 """Clusters in the summary at the end of a run, which is one screen."""
+TOO_LARGE = 0.5
+"""Share of failing tests above which an upper bound alone is not worth a sentence."""
 
 
 def failure_parts(
@@ -63,19 +65,22 @@ def random_words(found: RandomTests) -> str:
     >>> random_words(RandomTests(tests=75, failures=2, share=(0.0021, 0.11), probability=0.95))
     '2 of 75 tests at random fail: of such tests between 0.21 % and 11 % do, with probability at least 0.9500, so that \
 a search at random takes between 9 and 477 tests for a failure on average'
-    >>> random_words(RandomTests(tests=4, failures=0, share=(0.0, 0.61), probability=0.95))
-    'none of 4 tests at random fails: of such tests at most 61 % do, with probability at least 0.9500, so that a \
-search at random takes at least 1 test for a failure on average'
+    >>> random_words(RandomTests(tests=75, failures=0, share=(0.0, 0.0484), probability=0.95))
+    'none of 75 tests at random fails: of such tests at most 4.9 % do, with probability at least 0.9500, so that a \
+search at random takes at least 20 tests for a failure on average'
+    >>> random_words(RandomTests(tests=2, failures=0, share=(0.0, 0.89), probability=0.95))
+    'none of 2 tests at random fails, which are too few to say how many tests a search at random takes'
     """
     low, high = found.share
-    fail = "fails" if found.failures < 2 else "fail"
-    head = f"{found.failures:,} of {counted(found.tests, 'test')} at random {fail}"
-    share, takes = f"at most {_percent(high, ROUND_CEILING)}", f"at least {counted(math.floor(1 / high), 'test')}"
-    if not found.failures:
-        head = f"none of {counted(found.tests, 'test')} at random fails"
+    fails = "fails" if found.failures < 2 else "fail"
+    head = f"{found.failures or 'none'} of {counted(found.tests, 'test')} at random {fails}"
+    if high > TOO_LARGE and not low:
+        return f"{head}, which are too few to say how many tests a search at random takes"
     if low:
         share = f"between {_percent(low, ROUND_FLOOR)} and {_percent(high, ROUND_CEILING)}"
         takes = f"between {math.floor(1 / high):,} and {counted(math.ceil(1 / low), 'test')}"
+    else:
+        share, takes = f"at most {_percent(high, ROUND_CEILING)}", f"at least {counted(math.floor(1 / high), 'test')}"
     right = f"with probability at least {outward(found.probability, '>=')}"
     return (
         f"{head}: of such tests {share} do, {right}, so that a search at random takes {takes} for a failure on average"

@@ -78,7 +78,7 @@ def test_without_a_failure_it_says_what_drawn_tests_show_and_which_test_is_the_c
     assert found.closest is not None
     assert (found.closest.rollout, found.closest.robustness) == (str(lowest.rollout), lowest.robustness)
     assert found.closest.robustness == pytest.approx(1.5 * (1.0 - found.closest.start["z1"]) + 0.1)
-    assert says(printed(predicate(tmp_path)), "SEARCH no test fails m z1 rollout None of 6 tests at random at most %")
+    assert says(printed(predicate(tmp_path)), "SEARCH no test fails m z1 rollout None of 6 tests at random too few")
     sentences = " ".join(Collector(tmp_path).refresh().checks)
     assert says(sentences, "No test None of 6 tests")
     assert verified(tmp_path) == []
