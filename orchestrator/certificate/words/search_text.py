@@ -31,7 +31,7 @@ def failure_parts(
     shown = found.clusters[:most]
     each = [f"cluster {number}: {_cluster_words(one, unit, units)}" for number, one in enumerate(shown, 1)]
     if more := len(found.clusters) - len(shown):
-        each.append(f"`perfbound show` lists {counted(more, 'further cluster')}")
+        each.append(f"the certificate has {counted(more, 'further cluster')}")
     return (head, *each)
 
 

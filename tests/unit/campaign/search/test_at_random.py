@@ -118,7 +118,7 @@ def test_a_summary_shows_the_first_clusters() -> None:
     head, *shown, more = failure_parts(found, "", most=3)
     assert says(head, "5 clusters 11 failing tests 1 may")
     assert len(shown) == 3
-    assert says(more, "show 2 further clusters")
+    assert says(more, "certificate 2 further clusters")
 
 
 def test_a_changed_number_does_not_verify(tmp_path: Path) -> None:
