@@ -386,7 +386,7 @@ class Falsify(Model):
         le=1000,
         exclude_if=lambda tests: tests == 50,
         description="on ranges: most rollouts for each failure, which set as many parameters as possible to their "
-        "nominal value while the system still fails; no claim uses them",
+        "nominal value while it still fails alike; no claim uses them",
     )
 
     @model_validator(mode="after")

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 
 from ....schemas.file.parameters import signal_shapes
 from ....schemas.ids import SIMPLEST, RolloutId, of_extension
-from ....schemas.result.facts import BoundFact, Header, ObservationFact, ProposalFact
+from ....schemas.result.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
 from ....schemas.values import Bound, Proposal
+from ...mathematics.search.clusters import violated_parts
 from ...mathematics.search.simplest import Group, away, simplest_tests
 from .. import state
 from ..counterexample import Found
@@ -52,12 +53,13 @@ class SimplestFailures(AfterCounterexample):
         assert current.next_start is not None
         return ProposalFact(self.name, test, Proposal(test, current.next_start, None, None, None, None))
 
-    def bound(self, series: Series, fact: ObservationFact) -> BoundFact:  # noqa: ARG002  (nothing is bounded)
+    def bound(self, series: Series, fact: ObservationFact) -> BoundFact:
         """Choose the next start."""
         current = self._current
         assert current is not None, "it was tested"
         self._seeds.append(current.found.rollout.seed)
-        current.take(fact.observation.y, RolloutId(self.name, fact.test, self.found.rollout.variant, 0))
+        (rollout,) = series.last_rollouts
+        current.take(rollout)
         done = self._current is None
         return BoundFact(self.name, fact.test, Bound(None, None, "converged" if done else None))
 
@@ -92,13 +94,16 @@ class Simplification:
         """The numbers of the parameters of the simplest start that are not at their nominal value."""
         return away(self.best[0], self._nominal)
 
-    def take(self, margin: float, rollout: RolloutId) -> None:
-        """Take the robustness at the next start, and choose the one after it."""
+    def take(self, rollout: RolloutFact) -> None:
+        """Take the rollout from the next start, and choose the one after it."""
         assert self.next_start is not None
         self.tests += 1
-        if margin < 0.0:
-            self.best = self.next_start, margin, rollout
-        following = self._inside(self._sent(fails=margin < 0.0))
+        # Another part that is violated is another failure, which would take the place of this one.
+        margin = rollout.robustness or 0.0
+        fails = margin < 0.0 and _violated(rollout) == _violated(self.found.rollout)
+        if fails:
+            self.best = self.next_start, margin, rollout.rollout
+        following = self._inside(self._sent(fails=fails))
         self.next_start = following if self.tests < self._most else None
 
     def _inside(self, point: Start | None) -> Start | None:
@@ -112,6 +117,10 @@ class Simplification:
             return self._search.send(fails)
         except StopIteration:
             return None
+
+
+def _violated(rollout: RolloutFact) -> tuple[int, ...]:
+    return violated_parts(rollout.robustness or 0.0, rollout.parts)
 
 
 def _groups(header: Header, names: Sequence[str]) -> list[Group]:

@@ -57,7 +57,6 @@ def test_kinds_of_failures_are_found_for_any_number_of_workers_and_verify(starte
             assert len(away) == 1, "one knot is enough"
             assert away <= {"power_0", "power_1", "power_2"}
         elif each["violated"] == ["always temperature >= 14"]:
-            assert away <= {"power_0", "power_1", "power_2", "outside", "wind"}
-            assert away
+            assert "outside" in away, "not by what is too warm"
     checked = started.run("perfbound", "verify", "by-2", "--resimulate", "3", "--system", "heater.py:heater")
     assert checked.code == 0, checked.out + checked.err

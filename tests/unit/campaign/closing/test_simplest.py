@@ -111,6 +111,21 @@ def test_each_cluster_has_its_own_with_its_own_seed(tmp_path: Path) -> None:
     assert verified(tmp_path) == []
 
 
+def test_a_failure_of_another_part_does_not_take_its_place(tmp_path: Path) -> None:
+    def too_much_or_too_little(request: RolloutRequest) -> float:
+        """Return a value below 0 for large z1 alone, and above 2 where z1 is at its nominal value."""
+        return 3.0 if request.x[0] == 0.5 else 0.8 - request.x[0]
+
+    config = sought({"nominal": {"z1": 0.5}}, specification="value <= 2 and value >= 0", clip=None)
+    simulate(tmp_path, config, too_much_or_too_little, noisy=False)
+    found = certificate(tmp_path).predicate.counterexample
+    assert found is not None
+    assert found.simplest is not None
+    assert found.start["z1"] > 0.8
+    assert found.simplest.away == ("z1",)
+    assert verified(tmp_path) == []
+
+
 @pytest.mark.parametrize(("most", "expected"), [(1, 1), (2, 2)])
 def test_the_budget_of_a_failure_ends_it_with_the_simplest_so_far(tmp_path: Path, most: int, expected: int) -> None:
     simulate(tmp_path, sought({"simplest_tests": most}), by_one, noisy=False)
