@@ -4,11 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-SPOT_CHECK, RISK_CHECK, SHRINK, IMPORTANCE, RECHECK = CLOSING = (
+SPOT_CHECK, RISK_CHECK, SHRINK, IMPORTANCE, SIMPLEST, RECHECK = CLOSING = (
     "spot_check",
     "risk_check",
     "shrink",
     "importance_sampling",
+    "simplest",
     "recheck",
 )
 """The closing checks: series of tests that follow those of the problems, in this order."""

@@ -2,34 +2,58 @@
 
 The order is that of the tests, not of the results, so that the number and the speed of the workers change nothing. The
 bound up to there holds as it does after every test: methods `rigorous` and `scenario` are valid at every moment, also
-at one that depends on the outcomes.
+at one that depends on the outcomes. A search may go on: then so many clusters of failing starts end it, or its budget.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from ...schemas.file.config import CampaignConfig
 from ...schemas.result.facts import RolloutFact
 from ...schemas.values import Bound
-from .series import Series
+from .region import Start
+from .series import Account, worst_rollout
 
 
-def ended(config: CampaignConfig, bound: Bound, series: Series) -> Bound:
-    """Return the bound after the last test of a series, whose rollouts end it if the campaign seeks a counterexample.
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A failing test: its start, and its worst rollout."""
+
+    start: Start
+    rollout: RolloutFact
+
+
+def ended(config: CampaignConfig, bound: Bound, account: Account) -> Bound:
+    """Return the bound after the last test of a problem, whose failures end it if the campaign seeks them.
 
     A method that refutes its own constants says so instead: the counterexample is in the data all the same.
     """
-    if config.until_counterexample and bound.verdict != "refuted" and any(map(_violates, series.last_rollouts)):
+    if bound.verdict != "refuted" and _is_found(config, account):
         # A verdict of this test, so that resume, replay and `verify` decide it as they decide those of a method.
         return replace(bound, verdict="counterexample")
     return bound
 
 
-def counterexample(series: Series) -> RolloutFact | None:
-    """Return the worst rollout of the test that ended a problem as a counterexample; None if something else did."""
-    last = series.last_bound
+def _is_found(config: CampaignConfig, account: Account) -> bool:
+    if config.until_counterexample:
+        return any(map(_violates, account.last_rollouts))
+    sought = None if config.falsify is None else config.falsify.clusters
+    return sought is not None and account.clusters is not None and len(account.clusters.found) >= sought
+
+
+def counterexample(account: Account) -> Found | None:
+    """Return the failing test that ended a problem, or the worst one of a search that went on; None without one."""
+    return min(found_failures(account), key=lambda each: each.rollout.robustness or 0.0, default=None)
+
+
+def found_failures(account: Account) -> list[Found]:
+    """Return the failing test that ended a problem, or the worst one of each cluster of a search that went on."""
+    if account.clusters is not None:
+        return [Found(each.worst.start, each.worst.test) for each in account.clusters.found]
+    last = account.last_bound
     if last is None or last.stopped_by != "counterexample":
-        return None
-    return min(filter(_violates, series.last_rollouts), key=lambda each: (each.robustness, each.rollout))
+        return []
+    assert account.last_proposal is not None, "it was tested"
+    return [Found(account.last_proposal.x, worst_rollout(account.last_rollouts))]
 
 
 def _violates(rollout: RolloutFact) -> bool:

@@ -84,7 +84,8 @@ class ProblemDecisions:
         self, account: Account, header: Header, methods: Methods, observer: Observer, follow: Follow | None = None
     ) -> None:
         self._account = account
-        self._plan, self._source = account.plan, proposal_source(account.plan, methods[account.plan.name], header)
+        self._plan = account.plan
+        self._source = proposal_source(account.plan, methods[account.plan.name], header, account.clusters)
         self._header, self._observer, self._follow = header, observer, follow
         self._refutation = Refutation(header, account, methods)
 
@@ -147,7 +148,7 @@ class ProblemDecisions:
         with naming(f"problem {fact.problem}, test {fact.test}"):
             bound = self._source.observe(series, fact)
         # Verdicts about this test, not events of the loop, so that the speed of the workers decides nothing.
-        bound = self._refutation.ended(counterexample.ended(self._header.config, bound, series))
+        bound = self._refutation.ended(counterexample.ended(self._header.config, bound, self._account))
         # A method has no budget: its own verdict comes first, also at the last test.
         spent = bound.verdict is None and len(series.observations) >= self._account.budget
         return BoundFact(fact.problem, fact.test + len(fact) - 1, bound, budget=spent, tests=len(fact))

@@ -94,7 +94,7 @@ def _not_at_every_test(plan: ProblemPlan) -> str | None:
                 f"method 'kriging' plans every start and weight for {plan.budget} tests, and proposes none after them; "
                 "start a new campaign with a larger max_tests"
             )
-        case "sample" if not plan.until_counterexample:
+        case "sample" if not plan.at_every_moment:
             return (
                 f"the number of samples was fixed at {plan.budget}, and its claims hold at this number alone; start a "
                 "new campaign with a larger max_tests and another seed"

@@ -47,6 +47,7 @@ from .methods import methods
 from .observation import Observer
 from .plan import plans
 from .ports import FactStore, FileStore, Recorded, RecordedRollouts
+from .proposals import failure_clusters
 from .restoration import Restoration
 from .series import Account, Kept, Series
 
@@ -90,7 +91,12 @@ class Ledger:
         self.methods = methods(self.plans, header)
         # A hash chain for each problem, over its observations: one in the order of arrival would depend on the workers.
         self.accounts = {
-            name: Account(first_link(header, name), plan=plan, kept=Kept(header.config.keep))
+            name: Account(
+                first_link(header, name),
+                plan=plan,
+                kept=Kept(header.config.keep),
+                clusters=failure_clusters(plan, header),
+            )
             for name, plan in self.plans.items()
         }
         self.extensions: list[ExtensionFact] = []

@@ -103,7 +103,7 @@ def _one_method(plan: ProblemPlan, header: Header) -> OneMethod:
                 [_terms(plan, claim, known) for claim in plan.claims],
                 drawn_starts(header, plan.name),
                 # An exact bound needs a number of samples that no outcome decides, and a counterexample decides it.
-                fixed=None if plan.until_counterexample else samples,
+                fixed=None if plan.at_every_moment else samples,
                 largest=plan.sense == "max",
             )
 

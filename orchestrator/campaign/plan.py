@@ -109,7 +109,8 @@ class ProblemPlan:
     """Of rollouts that report disturbances, where a control takes these."""
     requirements: tuple[str, ...] = ()
     """Names of the requirements that are claimed beside the whole specification, where starts are drawn."""
-    until_counterexample: bool = False
+    at_every_moment: bool = False
+    """Whether claims hold after every test, however the campaign ends."""
     requirement: str | None = None
     """The one requirement that it is about; None for the whole specification."""
     parts: tuple["ProblemPlan", ...] = ()
@@ -350,7 +351,7 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
         controlled=(controlled := is_controlled(config, spec, problem, variants)),
         reports=_reports(spec, variants) if controlled and spec.reported else None,
         requirements=tuple(each.name for each in config.specifications),
-        until_counterexample=config.until_counterexample,
+        at_every_moment=config.at_every_moment,
         parts=tuple(parts),
         falsify=config.falsify,
         reaches={None: reach_of(config.formula, spec.after_end, config.beyond)}

@@ -6,21 +6,22 @@ from typing import Protocol
 import numpy as np
 
 from ...schemas.file.parameters import knots_alike
-from ...schemas.file.problem_models import Falsify
 from ...schemas.result.block_facts import BlockObservationFact, Floats, Integers
 from ...schemas.result.facts import Header, ObservationFact
 from ...schemas.values import Bound, Proposal
 from ..mathematics.bounds.sample import SampleMethod
 from ..mathematics.gp.points import point_at
 from ..mathematics.search import Falsifier
+from ..mathematics.search.clusters import Clusters
+from ..mathematics.stl.condition import Truth
 from .methods import ProblemMethod
 from .objectives import LARGEST
 from .observation import for_search, goal_of_search
 from .plan import ProblemPlan
-from .region import Start, condition
+from .region import Condition, Start, condition
 from .seeds import first_node, uniform
-from .series import Series
-from .starts import Draws, Listed, drawn_starts, of_space
+from .series import FailureClusters, Series
+from .starts import AllowedStarts, Draws, Listed, drawn_starts, of_space
 
 
 class ProposalSource(Protocol):
@@ -47,11 +48,35 @@ class ProposalSource(Protocol):
         ...
 
 
-def proposal_source(plan: ProblemPlan, method: ProblemMethod, header: Header) -> ProposalSource:
-    """Return the source that the campaign file asks for."""
+def proposal_source(
+    plan: ProblemPlan, method: ProblemMethod, header: Header, clusters: FailureClusters | None = None
+) -> ProposalSource:
+    """Return the source that the campaign file asks for, with the clusters of the account; see `failure_clusters`."""
     if plan.falsify is None:
         return MethodSource(plan, method, header)
-    return SearchSource(plan, plan.falsify, method, header)
+    return SearchSource(plan, method, header, clusters)
+
+
+def failure_clusters(plan: ProblemPlan, header: Header) -> FailureClusters | None:
+    """Return the clusters that the failing tests of a search are sorted into; None of one that ends with the first."""
+    if plan.falsify is None or plan.falsify.until == "counterexample":
+        return None
+    space, region = searched_space(plan, header)
+
+    def middle(one: Start, other: Start) -> Start | None:
+        found = space.nearest((np.array(one) + np.array(other)) / 2, ())[1]
+        return found if region is None or region([found])[0] else None
+
+    low, high = space.box
+    return Clusters(tuple(low.tolist()), tuple(high.tolist()), middle)
+
+
+def searched_space(plan: ProblemPlan, header: Header) -> tuple[AllowedStarts, Condition | None]:
+    """Return the starts that a search may choose, with the region that they have to be in; see `condition`."""
+    if plan.candidates is None:
+        return of_space(header), condition(header.config.where, plan.parameters)
+    # Of candidates every one is in the region.
+    return Listed(plan.candidates.nodes), None
 
 
 def first_start(plan: ProblemPlan, header: Header) -> Start:
@@ -104,23 +129,24 @@ class SearchSource:
     before it, and so for this one.
     """
 
-    def __init__(self, plan: ProblemPlan, falsify: Falsify, method: ProblemMethod, header: Header) -> None:
-        self._plan, self._method = plan, method
-        # Of candidates every one is in the region.
-        self._region = condition(header.config.where, plan.parameters) if plan.candidates is None else None
+    def __init__(
+        self, plan: ProblemPlan, method: ProblemMethod, header: Header, clusters: FailureClusters | None
+    ) -> None:
+        assert plan.falsify is not None, "the file asks for it"
+        self._plan, self._method, self._clusters = plan, method, clusters
+        self._space, self._region = searched_space(plan, header)
         self._drawn_instead = Draws(header, f"{plan.name}.search") if self._region else None
-        self._space = of_space(header) if plan.candidates is None else Listed(plan.candidates.nodes)
         low, high = self._space.box
         seed = int(uniform(header, f"{plan.name}.search", range(1), 1)[0, 0] * 2**53)
         # Ends of a range that are equal: a parameter that never changes, in a box that has to have an inside.
         high = np.where(high > low, high, low + 1.0)
-        self._goal, self._has_scale = goal_of_search(header.config, header.spec)[0], falsify.scale is not None
+        self._goal, self._has_scale = goal_of_search(header.config, header.spec)[0], plan.falsify.scale is not None
         self._search = Falsifier(
             low.tolist(),
             high.tolist(),
             seed=seed,
-            random_every=falsify.random_every,
-            admitted=self._region,
+            random_every=plan.falsify.random_every,
+            admitted=self._region if clusters is None else self._elsewhere,
             signals=knots_alike(header.config.space, plan.parameters),
             goal=self._goal,
         )
@@ -129,19 +155,22 @@ class SearchSource:
         """Return the start that is nearest to the search's, or the next drawn one."""
         if self._plan.is_drawn(test):
             return self._method.propose(None, self._drawn(series))
+        if (middle := self._between_failures(series, test)) is not None:
+            return self._searched(test, *self._space.nearest(np.array(middle), ()))
         # Without noise a repeat shows nothing, and method `rigorous` takes none.
         taken = [*series.nodes, *_nodes(series)] if self._plan.exact else ()
         node, x = self._space.nearest(np.array(self._search.propose(_open_starts(series))), taken)
         # The middle of the box, a rounded start, or a region so small that no candidate of the search is in it.
         if self._region is not None and self._drawn_instead is not None and not self._region([x])[0]:
             x = self._drawn_instead.start(test)
-        # A start that is drawn from no list has no number: -1 - test, which no drawn one has.
-        return Proposal(-1 - test if node is None else node, x, None, None, None, None)
+        return self._searched(test, node, x)
 
     def rival(self, series: Series, test: int, x: Sequence[float]) -> Proposal | None:
         """Return the proposal of `x` (p,) if it is a start of the space and as good as the search's own."""
         if self._plan.is_drawn(test):
             return self._method.rival(x, self._drawn(series))
+        if self._between_failures(series, test) is not None:
+            return None
         own = self.propose(series, test)
         node, nearest = self._space.nearest(np.array(x), ())
         if nearest != tuple(x) or (self._region is not None and not self._region([nearest])[0]):
@@ -176,6 +205,26 @@ class SearchSource:
         # A start that was chosen by the outcomes before it is no sample: the bound is that of the samples so far.
         assert isinstance(self._method, SampleMethod)
         return self._method.bound()
+
+    @staticmethod
+    def _searched(test: int, node: int | None, x: Start) -> Proposal:
+        # A start that is drawn from no list has no number: -1 - test, which no drawn one has.
+        return Proposal(-1 - test if node is None else node, x, None, None, None, None)
+
+    def _between_failures(self, series: Series, test: int) -> Start | None:
+        """Return the start that decides whether a failing test is of a cluster; None where nothing is open.
+
+        Tests at random stay what they are: a wrong rule cannot blind the search.
+        """
+        if self._clusters is None or self._search.is_random(test):
+            return None
+        in_flight = _open_starts(series)
+        return next((each for each in self._clusters.middles if each not in in_flight), None)
+
+    def _elsewhere(self, starts: Floats) -> Truth:
+        """Whether the models may choose each of some starts: in the region, and away from the known failures."""
+        inside = np.full(len(starts), fill_value=True) if self._region is None else self._region(starts)
+        return inside if self._clusters is None else inside & ~self._clusters.near(starts)
 
     def _drawn(self, series: Series) -> list[int]:
         return [fact.proposal.node for test, fact in series.proposals.items() if self._plan.is_drawn(test)]

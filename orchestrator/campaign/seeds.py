@@ -85,7 +85,7 @@ def _short_seed(header: Header, rollout: RolloutId) -> int:
     These differ within a campaign of at most 2^`seed_bits` possible rollouts, and within a test in every campaign.
     """
     config, bits = header.config, header.spec.seed_bits
-    # Not the bisection of a counterexample: all its rollouts have the seed of that one.
+    # Not the bisection of a counterexample and the simplest failures: their rollouts have the seed of that one.
     series = sorted([*(each.name for each in config.problems), SPOT_CHECK, RECHECK])
     around = config.falsify.sampled_tests if config.falsify else 0
     series += [IMPORTANCE] if around else []

@@ -36,9 +36,12 @@ from ...schemas.result.facts import (
     next_link,
 )
 from ...schemas.values import MARKED, Bound, Observation, ProblemProgress, Proposal, distance_after
+from ..mathematics.search.clusters import Clusters, violated_parts
 from . import objectives
 from .plan import ProblemPlan
 
+FailureClusters = Clusters[RolloutFact]
+"""Clusters of failing tests, each by its worst rollout."""
 ROUND_OFF = 1e-9
 """A bound recomputed on another CPU may differ by less."""
 
@@ -280,6 +283,12 @@ def _same_bound(recomputed: Bound, recorded: Bound) -> bool:
     return all(a is b if a is None or b is None else a == b or abs(a - b) <= ROUND_OFF for a, b in pairs)
 
 
+def worst_rollout(rollouts: Iterable[RolloutFact]) -> RolloutFact:
+    """Return the rollout of least robustness, of equal ones the first by its name; raises ValueError without any."""
+    scored = (each for each in rollouts if each.robustness is not None)
+    return min(scored, key=lambda each: (each.robustness, each.rollout))
+
+
 # The account of a problem
 
 
@@ -341,6 +350,10 @@ class Account(Series):
     excess: float = -math.inf
     """Of a gap: the most by which a robustness differed beyond L times the gap; above 0 it dominates nothing."""
     robustness: MutableSequence[float] = field(default_factory=lambda: array("d"))
+    clusters: FailureClusters | None = None
+    """Of a search that goes on after its first failure."""
+    lowest: tuple[tuple[float, ...], RolloutFact] | None = None
+    """Of a search: the start and the rollout of least robustness, of equal ones the first."""
 
     @property
     def budget(self) -> int:
@@ -399,9 +412,19 @@ class Account(Series):
             robustness = {(each.rollout.variant, each.rollout.replicate): each.robustness or 0.0 for each in rollouts}
             gaps = self.plan.values_of(fact.observation.each)
             self.excess = max(self.excess, objectives.excess(self.plan, robustness, gaps))
+        if self.plan.falsify is not None and self.last_proposal is not None:
+            self._seek(self.last_proposal.x, worst_rollout(rollouts))
         margins = [each.robustness for each in rollouts if each.robustness is not None]
         self._take(fact.test, np.array(margins), sum(each.kept for each in rollouts))
         return rollouts
+
+    def _seek(self, start: tuple[float, ...], worst: RolloutFact) -> None:
+        """Take the worst rollout of a test of a search."""
+        margin = worst.robustness or 0.0
+        if self.lowest is None or margin < (self.lowest[1].robustness or 0.0):
+            self.lowest = start, worst
+        if self.clusters is not None:
+            self.clusters.observe(start, margin, violated_parts(margin, worst.parts), worst)
 
     def _take(self, test: int, robustness: NDArray[np.float64], number: int) -> None:
         self.robustness.extend(robustness.tolist())

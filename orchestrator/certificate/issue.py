@@ -7,16 +7,11 @@ from pathlib import PurePosixPath
 
 from ...schemas.base import digest
 from ...schemas.file.bases import bases
-from ...schemas.ids import FileId, RolloutId
+from ...schemas.ids import FileId
 from ...schemas.result import certificate as document
 from ...schemas.result.facts import DiscardFact, Header
 from ..campaign.bounded_parts import bounded_accounts
-from ..campaign.closing.likeliest import LikeliestFailure
-from ..campaign.closing.shrink import Shrink
-from ..campaign.closing.spot_check import LEVEL
-from ..campaign.counterexample import counterexample
 from ..campaign.ledger import Ledger, failed_attempts, observed_rollouts
-from ..mathematics.bounds.one_law.weighted import DEFENSIVE
 from ..store.files import FOLDER
 from .assumptions.audit import ClosingResults, assumptions
 from .assumptions.opinions import workers_honest
@@ -25,6 +20,7 @@ from .claims import claims, of_listed_starts
 from .closing_checks import recheck, spot_check
 from .problem_results import Results, result, with_controls
 from .regions import CampaignRegions, campaign_regions, safe_share
+from .search_results import counterexample_of, failures_of, search_of
 from .sensitivity import sensitivity, with_clip, without_rollouts
 
 
@@ -92,7 +88,9 @@ def issue(
         problems=tuple(results.values()),
         composition=claimed.composition,
         assumptions=tuple(found),
-        counterexample=_counterexample(ledger),
+        counterexample=counterexample_of(ledger),
+        failures=failures_of(ledger),
+        search=search_of(ledger),
         bounded=bounded_disturbances(header, claimed.claims[0]),
         regions=None if regions is None else regions.document,
         spot_check=checked,
@@ -108,74 +106,6 @@ def issue(
         sensitivity=varied,
     )
     return document.Certificate(subject=(subject(manifest_sha256),), predicate=predicate)
-
-
-def _counterexample(ledger: Ledger) -> document.Counterexample | None:
-    for account in ledger.accounts.values():
-        if (found := counterexample(account)) is not None and account.last_proposal is not None:
-            return document.Counterexample(
-                rollout=str(found.rollout),
-                test=found.rollout.test,
-                rollouts=len(account.last_rollouts),
-                start=dict(zip(account.plan.parameters, account.last_proposal.x, strict=True)),
-                seed=found.seed,
-                disturbances=_values(ledger.header, found.rollout, account.last_proposal.x, found.seed),
-                robustness=found.robustness or 0.0,
-                shrunk=_shrunk(ledger, account.plan.parameters),
-                likeliest=_likeliest(ledger, account.plan.parameters, found.seed),
-            )
-    return None
-
-
-def _shrunk(ledger: Ledger, parameters: Sequence[str]) -> document.Shrunk | None:
-    shrink = ledger.closing.shrink
-    if not isinstance(shrink, Shrink):
-        return None
-    start, robustness, rollout = shrink.best
-    return document.Shrunk(
-        nominal=dict(zip(parameters, shrink.nominal, strict=True)),
-        start=dict(zip(parameters, start, strict=True)),
-        robustness=robustness,
-        rollout=str(rollout),
-        rollouts=len(ledger.series[shrink.name].observations),
-    )
-
-
-def _likeliest(ledger: Ledger, parameters: Sequence[str], seed: int) -> document.LikeliestFailure | None:
-    sought = ledger.closing.shrink
-    if not isinstance(sought, LikeliestFailure):
-        return None
-    start, robustness, rollout = sought.best
-    return document.LikeliestFailure(
-        start=dict(zip(parameters, start, strict=True)),
-        disturbances=_values(ledger.header, rollout, start, seed),
-        distance=sought.distance,
-        robustness=robustness,
-        rollout=str(rollout),
-        rollouts=len(ledger.series[sought.name].observations),
-        at_start=_at_start(ledger),
-    )
-
-
-def _at_start(ledger: Ledger) -> document.FailureAtStart | None:
-    sampled = ledger.closing.importance
-    if sampled is None:
-        return None
-    count = len(ledger.series[sampled.name].observations)
-    return document.FailureAtStart(
-        bound=sampled.lower(count),
-        probability=1 - LEVEL,
-        rollouts=count,
-        failures=len(sampled.weights),
-        share=DEFENSIVE,
-    )
-
-
-def _values(header: Header, rollout: RolloutId, start: Sequence[float], seed: int) -> dict[str, document.DrawnValue]:
-    """Return the values of the disturbances of a rollout by their names."""
-    drawn = header.template.disturbances(rollout.variant, [start], [seed])
-    each = zip(header.spec.disturbances, drawn[0] if drawn else (), strict=bool(drawn))
-    return {law.name: document.DrawnValue(value=value, unit=law.unit) for law, value in each}
 
 
 def _listed(evidence: Manifest) -> list[FileId]:

@@ -18,6 +18,7 @@ from ..certificate.words.console_lines import hanging, heading, plain_line
 from ..certificate.words.format import replay_command
 from ..certificate.words.known_text import COLOURS, verdict_lines
 from ..certificate.words.region_text import region_sentences
+from ..certificate.words.search_text import MOST_CLUSTERS
 from ..run.known import system_file, verdict_of
 from ..store.export_tables import robustness_unit
 
@@ -48,7 +49,7 @@ def print_end(directory: Path, header: Header, certificate: Certificate, console
     units = parameter_units(header.spec)
     shown = shlex.quote(str(directory))
     verdict = print_verdict(directory, header, certificate, console)
-    text.print_counterexample(predicate, console, unit, units)
+    text.print_counterexample(predicate, console, unit, units, most=MOST_CLUSTERS)
     # A bound that shows nothing only hides what a violation shows.
     if not (verdict.verdict == "VIOLATED" and predicate.counterexample and predicate.claims[0].vacuous):
         text.first_claim(certificate, console, unit)

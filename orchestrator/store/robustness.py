@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence, Set
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ...schemas.ids import IMPORTANCE, RECHECK, SHRINK, RolloutId, closing_check, series_order
+from ...schemas.ids import IMPORTANCE, RECHECK, SHRINK, SIMPLEST, RolloutId, closing_check, series_order
 from ...schemas.ranges import LARGEST_BATCH
 from ...schemas.result.known import Violations
 from .readonly import snapshot
@@ -204,7 +204,8 @@ def _new_series(connection: sqlite3.Connection) -> list[str]:
     """Return the problems and closing checks whose rollouts are new ones, with a seed of their own.
 
     Those of a recheck repeat others, those of the bisection have the seed of the counterexample, which was chosen
-    because it fails, so that each of them would count this seed once more; and importance sampling draws around it.
+    because it fails, so that each of them would count this seed once more, as do those of the simplest failures; and
+    importance sampling draws around it.
     """
     names = [str(name) for (name,) in connection.execute(_SERIES)]
-    return [name for name in names if closing_check(name) not in (RECHECK, SHRINK, IMPORTANCE)]
+    return [name for name in names if closing_check(name) not in (RECHECK, SHRINK, IMPORTANCE, SIMPLEST)]

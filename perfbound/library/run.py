@@ -118,7 +118,8 @@ class Run(_Shown):
     def closing_checks(self) -> NDArray[Any]:
         """A row for each test of the closing checks, as in `tests`.
 
-        `problem` is `spot_check`, `risk_check`, `shrink` or `recheck`; after an extension `spot_check_b` and so on.
+        `problem` is `spot_check`, `risk_check`, `shrink`, `simplest` or `recheck`; after an extension `spot_check_b`
+        and so on.
         """
         return _of_series(self.table("tests"), closing=True)
 

@@ -300,7 +300,7 @@ def _claim_faults(config: CampaignConfig, problem: Problem, *, noisy: bool) -> I
         if claim.asked.quantity != "share_of_starts":
             continue
         where, tests = f"claims.{drawn_claims(config.claims).index(claim.asked)}", config.max_tests_of(problem)
-        if (noisy or config.until_counterexample) and config.clip is None:
+        if (noisy or config.at_every_moment) and config.clip is None:
             yield f"clip: required by {where}, the bound of a mean: give [low, high]"
         elif not noisy and tests < (least := fewest_samples(claim)):
             yield f"max_tests: {where} needs at least {least} samples, not {tests}"

@@ -73,7 +73,7 @@ def _rules_of_problems(config: CampaignKeys) -> Iterator[Callable[[], None]]:
 
 def _rules_of_claims(config: CampaignKeys) -> Iterator[Callable[[], None]]:
     """Yield the rules of all problems together, and of what is claimed."""
-    if config.until_counterexample:
+    if config.at_every_moment:
         yield partial(_check_until_counterexample, config, config.problems[0])
     if config.falsify is not None and config.falsify.over == "disturbances":
         yield partial(_check_over, config, config.problems[0])
@@ -169,6 +169,10 @@ def _check_objective(config: CampaignKeys, problem: Problem) -> None:
 
 
 def _check_until_counterexample(config: CampaignKeys, problem: Problem) -> None:
+    if config.until_counterexample and config.falsify is not None and config.falsify.until != "counterexample":
+        raise ValueError(
+            f"until_counterexample: falsify.until = {config.falsify.until!r} ends later; remove one of them"
+        )
     if len(config.problems) > 1 or problem.name not in OF_ROBUSTNESS:
         raise ValueError(
             f"until_counterexample: only for one problem, {any_of(OF_ROBUSTNESS)}; remove this key, or the other "
@@ -324,18 +328,18 @@ def _check_asked(config: CampaignKeys, where: str, claim: ClaimRequest, problem:
     if problem.jointly and (claim.delta or claim.quantity in UP_TO_CHANCE):
         raise ValueError(f"jointly: {where} has a failure probability of its own; remove one of the two")
     # With `until_counterexample` their number depends on the outcomes.
-    if config.until_counterexample and claim.quantity in UP_TO_CHANCE:
+    if config.at_every_moment and claim.quantity in UP_TO_CHANCE:
         raise ValueError(
             f"{where}.quantity: {claim.quantity!r} needs a number of samples that is fixed beforehand; remove this "
             "claim, or until_counterexample"
         )
-    if config.until_counterexample and claim.quantity in ORDERED and config.clip is None:
+    if config.at_every_moment and claim.quantity in ORDERED and config.clip is None:
         raise ValueError(f"clip: required by {where} with until_counterexample: give [low, high]")
 
 
 def _check_number(config: CampaignKeys, claim: DrawnClaim, problem: SampleProblem) -> None:
     # A bound that is valid after every sample begins at the clip.
-    if claim.asked.quantity not in ORDERED or config.until_counterexample:
+    if claim.asked.quantity not in ORDERED or config.at_every_moment:
         return
     least, tests = fewest_samples(claim), config.max_tests_of(problem)
     if tests < least:

@@ -88,6 +88,8 @@ def completed(table: Mapping[str, Any], stem: str = "") -> dict[str, Any]:
     found = {"name": name, **table} if name else dict(table)
     if is_rig(table):
         found = {"recheck": 0, "deadline": OF_RIG, **found}  # nobody repeats its rollouts, and a person drives them
+        if isinstance(falsify := found.get("falsify"), Mapping):
+            found["falsify"] = {"simplest_tests": 0, **falsify}
     if isinstance(tests := found.get("recorded"), list | tuple):
         found.setdefault("max_tests", len(tests))
     if isinstance(space := found.get("space"), Mapping):

@@ -123,7 +123,7 @@ class CampaignKeys(CampaignSize):
         default=None,
         exclude_if=lambda falsify: falsify is None,
         description="search for a counterexample: tests go where robustness below 0 is expected; implies "
-        "`until_counterexample`",
+        "`until_counterexample`, unless its own `until` is another",
     )
     until_counterexample: bool = Field(
         default=False,
@@ -255,7 +255,13 @@ class CampaignKeys(CampaignSize):
     @field_validator("until_counterexample")
     @classmethod
     def _implied(cls, given: bool, info: ValidationInfo) -> bool:
-        return given or info.data.get("falsify") is not None
+        falsify = info.data.get("falsify")
+        return given or (falsify is not None and falsify.until == "counterexample")
+
+    @property
+    def at_every_moment(self) -> bool:
+        """Whether claims hold after every test: outcomes may end the campaign, or a search may be continued."""
+        return self.until_counterexample or self.falsify is not None
 
     @property
     def formula(self) -> str | None:

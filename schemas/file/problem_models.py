@@ -320,9 +320,20 @@ PROBLEM_MODELS: dict[MethodName, type[_Problem]] = {
 # The search for a counterexample
 
 
+MOST_CLUSTERS = 20
+"""Clusters of failing starts that end a search, and whose failures are simplified."""
+
+
 class Falsify(Model):
     """Where tests come from while a start is sought at which the system fails; an empty table takes every default."""
 
+    until: str = Field(
+        default="counterexample",
+        pattern=r"^(counterexample|budget|([2-9]|1[0-9]|20) clusters)$",
+        exclude_if=lambda until: until == "counterexample",
+        description='where the search ends: with the first failing test, with so many clusters of failing starts (`"3 '
+        'clusters"`, 2 to 20) or `max_tests`, or with `max_tests` alone (`"budget"`)',
+    )
     over: Literal["starts", "disturbances"] = Field(
         default="starts",
         exclude_if=lambda over: over == "starts",
@@ -365,7 +376,7 @@ class Falsify(Model):
     nominal: dict[str, float] = Field(
         default={},
         exclude_if=lambda nominal: not nominal,
-        description="with `shrink`: values of some parameters; by default the middle of each range",
+        description="nominal values of some parameters; by default the middle of each range",
     )
     shrink_tests: int = Field(
         default=20,
@@ -374,22 +385,49 @@ class Falsify(Model):
         exclude_if=lambda tests: tests == 20,
         description="most rollouts for it; no claim uses them",
     )
+    simplest_tests: int = Field(
+        default=50,
+        ge=0,
+        le=1000,
+        exclude_if=lambda tests: tests == 50,
+        description="on ranges: most rollouts for each failure, which set as many parameters as possible to their "
+        "nominal value while it still fails alike; no claim uses them",
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> "Falsify":
-        if self.nominal and not self.shrink:
-            raise ValueError("nominal: it is where `shrink` goes; add shrink = true, or remove this key")
+        if self.nominal and not (self.shrink or self.simplifying_tests):
+            raise ValueError("nominal: `shrink` and `simplest_tests` go there; add one of them, or remove this key")
         if self.shrink and self.over == "disturbances":
             raise ValueError(
                 'shrink: not together with over = "disturbances", after which the likeliest failure is sought; remove '
                 "this key"
             )
+        if self.until != "counterexample" and (self.shrink or self.over == "disturbances"):
+            key = "shrink" if self.shrink else "over"
+            raise ValueError(f"{key}: follows the one counterexample that ends a search; remove this key, or `until`")
         return self
+
+    @property
+    def clusters(self) -> int | None:
+        """How many clusters of failing starts end the search; None where they do not."""
+        return int(self.until.removesuffix(" clusters")) if self.until.endswith(" clusters") else None
 
     @property
     def improving_tests(self) -> int:
         """Most rollouts that look for a better counterexample."""
         return self.likeliest_tests if self.over == "disturbances" else self.shrink_tests
+
+    @property
+    def simplifying_tests(self) -> int:
+        """Most rollouts that look for the simplest failure; 0 of a search over disturbances: it has the likeliest."""
+        return 0 if self.over == "disturbances" else self.simplest_tests
+
+    @property
+    def most_simplifying_tests(self) -> int:
+        """Most such rollouts for all failures together."""
+        failures = 1 if self.until == "counterexample" else self.clusters or MOST_CLUSTERS
+        return self.simplifying_tests * failures
 
     @property
     def sampled_tests(self) -> int:

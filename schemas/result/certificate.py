@@ -210,6 +210,17 @@ class Shrunk(Model):
     rollouts: int = Field(description="of the bisection; no claim uses them")
 
 
+class Simplest(Model):
+    """The failing start with the fewest parameters away from their nominal values, of those that were tried."""
+
+    nominal: dict[str, float]
+    start: dict[str, float]
+    away: tuple[str, ...] = Field(description="the parameters that are not at their nominal value")
+    robustness: float = Field(description="below 0")
+    rollout: str = Field(description="the failure itself, where no simpler one was found")
+    rollouts: int = Field(description="of this search; no claim uses them")
+
+
 class FailureAtStart(Model):
     """A bound of the probability that a rollout from one start fails, by importance sampling."""
 
@@ -246,8 +257,55 @@ class LikeliestFailure(Model):
     )
 
 
+class FailureCluster(Model):
+    """Failing tests of one kind: the same parts of the specification are violated, from starts of one cluster."""
+
+    violated: tuple[str, ...] = Field(description="these parts; empty where the specification is one part")
+    tests: int
+    starts: dict[str, tuple[float, float]] = Field(description="least and largest value of each parameter")
+    start: dict[str, float] = Field(description="of the worst rollout")
+    robustness: float = Field(description="of the worst rollout, below 0")
+    rollout: str = Field(description="the worst one")
+    seed: int
+    simplest: Simplest | None = Field(
+        default=None, exclude_if=lambda simplest: simplest is None, description="with `falsify.simplest_tests`"
+    )
+
+
+class Failures(Model):
+    """The failures that a search found which went on after the first one."""
+
+    clusters: tuple[FailureCluster, ...] = Field(description="in the order in which they were found")
+    undecided: int = Field(description="failing tests of which it is open whether they are of a cluster")
+
+
+class RandomTests(Model):
+    """The drawn tests of a search, of which no outcome chose a start: how often a random search fails."""
+
+    tests: int
+    failures: int
+    share: tuple[float, float] = Field(description="bounds of the probability that such a test fails")
+    probability: float = Field(description="with which both hold, however the campaign ended")
+
+
+class ClosestStart(Model):
+    """The rollout of least robustness, where none fails."""
+
+    start: dict[str, float]
+    robustness: float
+    rollout: str
+    seed: int
+
+
+class Search(Model):
+    """What the tests of a search show beside its failures."""
+
+    at_random: RandomTests | None = Field(description="with method `sample`, after the first drawn test")
+    closest: ClosestStart | None = Field(description="where no test fails")
+
+
 class Counterexample(Model):
-    """The worst rollout of the test that ended the campaign, because it violates the specification."""
+    """The worst rollout of the test that ended the campaign, or of all tests of a search that went on."""
 
     rollout: str
     test: int
@@ -267,6 +325,11 @@ class Counterexample(Model):
         default=None,
         exclude_if=lambda likeliest: likeliest is None,
         description='with `over = "disturbances"` in `falsify`',
+    )
+    simplest: Simplest | None = Field(
+        default=None,
+        exclude_if=lambda simplest: simplest is None,
+        description="with `falsify.simplest_tests`, of a search that ended with it",
     )
 
 
@@ -414,7 +477,15 @@ class Predicate(Model):
     composition: CompositionTerms | None
     assumptions: tuple[Assumption, ...]
     counterexample: Counterexample | None = Field(
-        default=None, description="of a campaign with `until_counterexample` that found one"
+        default=None, description="of a campaign with `until_counterexample` or `falsify` that found one"
+    )
+    failures: Failures | None = Field(
+        default=None,
+        exclude_if=lambda failures: failures is None,
+        description="with `falsify.until`, if some test fails",
+    )
+    search: Search | None = Field(
+        default=None, exclude_if=lambda search: search is None, description="of a campaign with `falsify`"
     )
     bounded: Bounded | None = Field(
         default=None,

@@ -13,7 +13,8 @@ from rich.console import Console
 
 from perfbound.orchestrator.certificate.words.control_text import control_sentence
 from perfbound.orchestrator.certificate.words.known_text import verdict_lines
-from perfbound.orchestrator.certificate.words.refutation_text import counterexample_parts
+from perfbound.orchestrator.certificate.words.refutation_text import counterexample_parts, simplest_words
+from perfbound.orchestrator.certificate.words.search_text import failure_parts, search_parts
 from perfbound.orchestrator.certificate.words.text import notes
 from perfbound.orchestrator.cli.result import print_end, print_everything
 from perfbound.orchestrator.run import service
@@ -23,12 +24,18 @@ from perfbound.schemas.result.certificate import (
     Assumption,
     Bounded,
     BoundedDisturbance,
+    ClosestStart,
     Counterexample,
     DrawnValue,
     FailureAtStart,
+    FailureCluster,
+    Failures,
     LikeliestFailure,
     MostStarts,
+    RandomTests,
     Rollouts,
+    Search,
+    Simplest,
     SpotCheck,
 )
 from perfbound.schemas.result.known import CampaignVerdict
@@ -97,6 +104,7 @@ def claims(folder: Path) -> Cases:
             control_sentence(test_sensitivity.a_claim().claims[0], bound, [result]),
         )
     yield from _disturbances()
+    yield from _searched()
     yield from _confidence()
     assumptions = (
         Assumption(id="rkhs_norm/maximum", status="refuted", detail="B is wrong."),
@@ -134,6 +142,40 @@ def _disturbances() -> Cases:
         likeliest=near,
     )
     yield "the likeliest failure", "; ".join(counterexample_parts(counterexample, "m", {"speed": "m/s", "gust": "sd"}))
+
+
+def _searched() -> Cases:
+    """Yield what is said of several failures, of the simplest ones, and of a search without one."""
+    near = Simplest(
+        nominal={"speed": 20.0, "gap": 30.0},
+        start={"speed": 30.0, "gap": 30.0},
+        away=("speed",),
+        robustness=-0.125,
+        rollout="simplest.2.nominal.0",
+        rollouts=3,
+    )
+    one = FailureCluster(
+        violated=("always gap > 2",),
+        tests=3,
+        starts={"speed": (28.0, 31.0), "gap": (5.0, 9.0)},
+        start={"speed": 30.0, "gap": 5.0},
+        robustness=-0.25,
+        rollout="robustness.8.nominal.0",
+        seed=7,
+        simplest=near,
+    )
+    other = one.model_copy(update={"violated": (), "tests": 1, "simplest": near.model_copy(update={"away": ()})})
+    units = {"gap": "m", "speed": "m/s"}
+    found = Failures(clusters=(one, other), undecided=1)
+    yield "clusters of failing starts", "\n".join(failure_parts(found, "m", units))
+    yield "clusters on one screen", "\n".join(failure_parts(found, "m", units, most=1))
+    left = near.model_copy(update={"away": ("speed", "gap")})
+    yield "a failure that is not simplified", simplest_words(left, "m", units)
+    closest = ClosestStart(start=near.start, robustness=0.01, rollout="robustness.5.nominal.0", seed=3)
+    for failures, share in ((0, (0.0, 0.0484)), (2, (0.0021, 0.1134))):
+        drawn = RandomTests(tests=75, failures=failures, share=share, probability=0.95)
+        searched = Search(at_random=drawn, closest=None if failures else closest)
+        yield f"a search with {failures} failures at random", "\n".join(search_parts(searched, "m", units))
 
 
 def _confidence() -> Cases:

@@ -2,6 +2,8 @@
 
 from abc import ABC, abstractmethod
 
+import numpy as np
+
 from ....schemas.ids import SHRINK, RolloutId
 from ....schemas.result.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
 from ....schemas.trajectory.trajectory import Trajectory
@@ -35,6 +37,15 @@ class AfterCounterexample:
 
     def check(self, series: Series, rollout: RolloutId, trajectory: Trajectory, others: Others) -> None:
         """Do nothing: the robustness of every rollout is computed when it is admitted."""
+
+
+def nominal_start(header: Header) -> Start:
+    """Return the allowed start with the nominal values of the file, and elsewhere the middle of each range."""
+    falsify, space = header.config.falsify, of_space(header)
+    low, high = space.box
+    middle = zip((parameter.name for parameter in header.spec.parameters), ((low + high) / 2).tolist(), strict=True)
+    given = {} if falsify is None else falsify.nominal
+    return space.nearest(np.array([given.get(name, value) for name, value in middle]), ())[1]
 
 
 class Improvement(AfterCounterexample, ABC):

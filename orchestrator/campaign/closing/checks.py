@@ -1,14 +1,15 @@
-"""The closing checks of a campaign: spot check, risk, shrinking, then the recheck, each if the campaign has it."""
+"""The closing checks of a campaign: spot check, risk, what follows a failure, the recheck, each if it is wanted."""
 
 from collections.abc import Mapping
 
 from ....schemas.file.against_system import searched
-from ....schemas.ids import RECHECK, RolloutId, closing_check
+from ....schemas.file.problem_models import MOST_CLUSTERS
+from ....schemas.ids import RECHECK, SIMPLEST, RolloutId, closing_check
 from ....schemas.result.facts import Header, first_link
 from .. import state
 from ..assumption_tests import is_dominated
 from ..bounded_parts import bounded_accounts
-from ..counterexample import counterexample
+from ..counterexample import counterexample, found_failures
 from ..methods import Methods
 from ..observation import Observer
 from ..plan import ProblemPlan
@@ -19,9 +20,10 @@ from .likeliest import LikeliestFailure
 from .recheck import Recheck
 from .risk_check import RiskCheck
 from .shrink import Shrink
+from .simplest import SimplestFailures
 from .spot_check import SpotCheck, SpotSeries, spot_check_plan
 
-Check = SpotCheck | RiskCheck | Shrink | LikeliestFailure | ImportanceSampling | Recheck
+Check = SpotCheck | RiskCheck | Shrink | LikeliestFailure | ImportanceSampling | SimplestFailures | Recheck
 
 
 class ClosingChecks:
@@ -41,6 +43,7 @@ class ClosingChecks:
         self.risk_check: RiskCheck | None = None
         self.shrink: Shrink | LikeliestFailure | None = None
         self.importance: ImportanceSampling | None = None
+        self.simplest: SimplestFailures | None = None
         self.recheck: Recheck | None = None
         self._rechecks: dict[str, Recheck] = {}
         """Those of before the extensions as well."""
@@ -48,7 +51,7 @@ class ClosingChecks:
 
     def extend(self) -> None:
         """Begin anew after an extension: what a check has shown of earlier bounds is no test of later ones."""
-        self.spot_check = self.risk_check = self.recheck = None
+        self.spot_check = self.risk_check = self.simplest = self.recheck = None
         self._extensions += 1
 
     @property
@@ -80,10 +83,13 @@ class ClosingChecks:
         if self.recheck is None and self.importance is None and (importance := self._importance()) is not None:
             self.importance = importance
             return importance, Series(first_link(header, importance.name))
+        if self.recheck is None and self.simplest is None and (simplest := self._simplest()) is not None:
+            self.simplest = simplest
+            return simplest, Series(first_link(header, simplest.name))
         if self.recheck is None and Recheck.wanted(header):
             plans = {each.plan.problem: each.plan for each in reached.problems}
-            # No claim rests on the rollouts of the bisection, and those of an earlier recheck are repetitions.
-            unclaimed = (Shrink.name, RECHECK)
+            # No claim rests on the rollouts that improve a failure, and those of an earlier recheck are repetitions.
+            unclaimed = (Shrink.name, SIMPLEST, RECHECK)
             checked = {
                 name: (each, plans[name]) for name, each in series.items() if closing_check(name) not in unclaimed
             }
@@ -108,9 +114,8 @@ class ClosingChecks:
         found = counterexample(account)
         if found is None:
             return None
-        assert account.last_proposal is not None
         sought = LikeliestFailure if over else Shrink
-        shrink = sought(self._header, found, account.last_proposal.x, self._observer)
+        shrink = sought(self._header, found.rollout, found.start, self._observer)
         return shrink if shrink.plan.max_tests else None
 
     def _importance(self) -> ImportanceSampling | None:
@@ -119,6 +124,18 @@ class ClosingChecks:
         if falsify is None or not falsify.sampled_tests or not isinstance(sought, LikeliestFailure):
             return None
         return ImportanceSampling(self._header, sought, self._observer)
+
+    def _simplest(self) -> SimplestFailures | None:
+        """Return what simplifies the failures that a search found; None without one, and where it cannot be simpler."""
+        falsify = self._header.config.falsify
+        if falsify is None or not falsify.simplifying_tests or not isinstance(self._header.config.space, dict):
+            return None
+        (account,) = self._accounts.values()  # a search is for one problem
+        failures = found_failures(account)
+        if not failures:
+            return None
+        simplest = SimplestFailures(self._header, failures[:MOST_CLUSTERS], self._observer, self._extensions)
+        return simplest if simplest.plan.max_tests else None
 
     def original(self, rollout: RolloutId) -> RolloutId | None:
         """Return the rollout that a rollout of the recheck repeats; None for every other rollout."""
@@ -134,7 +151,7 @@ def cost(header: Header, plans: Mapping[str, ProblemPlan]) -> list[str]:
         least = spot.count(starts)
         more = spot.count(spot.most_tests) - least
         followups = f" and at most {more:,} that follow up" if more else ""
-        unless = " (not after a counterexample)" if header.config.until_counterexample else ""
+        unless = " (not after a counterexample)" if header.config.at_every_moment else ""
         parts.append(f"a spot check of {starts:,} starts with {least:,} rollouts{followups}{unless}")
     if Recheck.wanted(header):
         parts.append(f"a recheck of at most {header.config.recheck:,} rollouts")

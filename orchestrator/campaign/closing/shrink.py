@@ -7,7 +7,7 @@ from ....schemas.result.facts import Header, RolloutFact
 from ...mathematics.gp.kernels import Floats
 from ..observation import Observer
 from ..region import Start
-from .after_counterexample import Improvement
+from .after_counterexample import Improvement, nominal_start
 
 CLOSE = 1e-3
 """The bisection ends when passing and failing start are this share of the way apart."""
@@ -25,10 +25,7 @@ class Shrink(Improvement):
         super().__init__(header, found, observer)
         falsify = header.config.falsify
         assert falsify is not None, "the file asks for it"
-        names = [parameter.name for parameter in header.spec.parameters]
-        low, high = self._space.box
-        middle = zip(names, ((low + high) / 2).tolist(), strict=True)
-        self.nominal = self._nearest(np.array([falsify.nominal.get(name, value) for name, value in middle]))
+        self.nominal = nominal_start(header)
         self._passing, self._failing = 0.0, 1.0
         self._starts: dict[float, Start] = {0.0: self.nominal, 1.0: start}
         self.best: tuple[Start, float, RolloutId] = (start, found.robustness or 0.0, found.rollout)

@@ -316,7 +316,7 @@ def _scenario(account: Account, problem: ScenarioProblem) -> Iterator[Assumption
 def _sample(account: Account, problem: SampleProblem) -> Iterator[Assumption]:
     """Yield what claims about drawn starts rest on: the distribution, and that nothing chose a start by its outcome."""
     yield assumption(f"declared_distribution/{problem.name}", "assumed")
-    form = "drawn_at_every_moment" if account.plan.until_counterexample else "drawn_fixed"
+    form = "drawn_at_every_moment" if account.plan.at_every_moment else "drawn_fixed"
     drawn, values = account.each.firsts(0), dict[str, int | float | str]()
     if account.plan.falsify is not None:
         form, values = "drawn_beside_a_search", {"random_every": account.plan.falsify.random_every}

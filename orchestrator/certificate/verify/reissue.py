@@ -43,7 +43,12 @@ def compared(header: Header, reissued: Certificate, certificate: Certificate) ->
             ROUND_OFF,
             f"problems: {problems}",
         ),
-        ("problems", lambda side: {"counterexample": side["counterexample"]}, ROUND_OFF, ""),
+        (
+            "problems",
+            lambda side: {key: side.get(key) for key in ("counterexample", "failures", "search")},
+            ROUND_OFF,
+            "",
+        ),
         ("probabilities", _probabilities_of, ROUND_OFF, f"problems: {problems}, claims: {claims}"),
         ("composition", lambda side: side["composition"], ROUND_OFF, rule),
         ("spot check", lambda side: _without_wealth(side["spot_check"]), ROUND_OFF, ""),

@@ -4,7 +4,14 @@ from collections.abc import Mapping, Sequence
 from decimal import ROUND_FLOOR, Context
 
 from ....schemas.amounts import counted, some_of
-from ....schemas.result.certificate import Counterexample, DrawnValue, FailureAtStart, LikeliestFailure, RiskAtStart
+from ....schemas.result.certificate import (
+    Counterexample,
+    DrawnValue,
+    FailureAtStart,
+    LikeliestFailure,
+    RiskAtStart,
+    Simplest,
+)
 from ..assumptions.statements import statement
 from .bound_text import DIGITS, in_unit, outward
 
@@ -84,8 +91,41 @@ def counterexample_parts(found: Counterexample, unit: str, units: Mapping[str, s
     margin = margin_words(found.robustness, unit)
     drawn = f" ({values_words(found.disturbances)})" if found.disturbances else ""
     words = f"test {found.test:,} violates the specification: robustness {margin} at {start}{drawn}, seed {found.seed}"
-    after = (_shrunk_words(found, unit, units), _likeliest_words(found, unit, units), _at_start_words(found.likeliest))
+    after = (
+        _shrunk_words(found, unit, units),
+        _likeliest_words(found, unit, units),
+        _at_start_words(found.likeliest),
+        simplest_words(found.simplest, unit, units),
+    )
     return (f"{words} (rollout {found.rollout}{others})", *filter(None, after))
+
+
+def simplest_words(found: Simplest | None, unit: str, units: Mapping[str, str] | None) -> str:
+    """Return with how few parameters away from their nominal values the system still fails; empty for None.
+
+    >>> near = Simplest(
+    ...     nominal={"throttle_3": 0.5, "brake_1": 0.5, "wind": 0.0},
+    ...     start={"throttle_3": 0.9, "brake_1": 0.1, "wind": 0.0},
+    ...     away=("throttle_3", "brake_1"),
+    ...     robustness=-0.25,
+    ...     rollout="simplest.9.nominal.0",
+    ...     rollouts=12,
+    ... )
+    >>> simplest_words(near, "", {})
+    'it fails with only throttle_3 = 0.9, brake_1 = 0.1 away from their nominal values, robustness -0.2500 (rollout \
+simplest.9.nominal.0), after 12 rollouts with this seed'
+    """
+    if found is None:
+        return ""
+    after = f"after {counted(found.rollouts, 'rollout')} with this seed"
+    margin = f"robustness {margin_words(found.robustness, unit)} (rollout {found.rollout})"
+    if not found.away:
+        return f"it fails with every parameter at its nominal value, {margin}, {after}"
+    if len(found.away) == len(found.start):
+        return f"it fails with none of the groups of parameters at their nominal values that were tried, {after}"
+    their = "their nominal values" if len(found.away) > 1 else "its nominal value"
+    left = named_start({name: found.start[name] for name in found.away}, units)
+    return f"it fails with only {left} away from {their}, {margin}, {after}"
 
 
 def _likeliest_words(found: Counterexample, unit: str, units: Mapping[str, str] | None) -> str:

@@ -36,6 +36,7 @@ from .console_lines import hanging, heading, plain_line
 from .control_text import control_line, control_sentence
 from .refutation_text import counterexample_parts, refutation_sentence, risk_sentence
 from .region_text import region_sentences
+from .search_text import failure_parts, search_parts
 
 # The assumptions
 
@@ -173,16 +174,39 @@ def print_certificate(
 
 
 def print_counterexample(
-    predicate: Predicate, console: Console, unit: str, units: Mapping[str, str] | None = None
+    predicate: Predicate,
+    console: Console,
+    unit: str,
+    units: Mapping[str, str] | None = None,
+    *,
+    most: int | None = None,
 ) -> None:
-    """Print the rollout that ended the campaign, if one did; `unit` and `units` as in `print_certificate`."""
-    if predicate.counterexample is not None:
-        head = "COUNTEREXAMPLE  "
-        first, *later = counterexample_parts(predicate.counterexample, unit, units)
-        console.print()
-        hanging(console, Text(head, "bold red"), first)
-        for each in later:
-            hanging(console, Text(" " * len(head)), f"{each[0].upper()}{each[1:]}.")
+    """Print the rollout that ended the campaign, if one did, and what a search has found.
+
+    `unit` and `units` as in `print_certificate`, `most` as in `failure_parts`.
+    """
+    found = predicate.counterexample
+    searched = search_parts(predicate.search, unit, units)
+    if found is not None:
+        clusters = failure_parts(predicate.failures, unit, units, most)
+        _headed(
+            console,
+            Text("COUNTEREXAMPLE  ", "bold red"),
+            (*counterexample_parts(found, unit, units), *clusters, *searched),
+        )
+    elif searched:
+        _headed(console, Text("SEARCH  "), searched)
+
+
+def _headed(console: Console, head: Text, parts: Sequence[str]) -> None:
+    """Print parts below each other, the first one behind a head."""
+    first, *later = parts
+    # `hanging` adds to its head.
+    below = " " * len(head)
+    console.print()
+    hanging(console, head, first)
+    for each in later:
+        hanging(console, Text(below), f"{each[0].upper()}{each[1:]}.")
 
 
 def _refuted(broken: Sequence[Assumption], whose: str, console: Console) -> None:

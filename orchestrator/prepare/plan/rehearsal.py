@@ -156,8 +156,12 @@ def _surface(plan: ProblemPlan, header: Header, pilot: PilotRollouts) -> Callabl
 def expected_tests(plan: ProblemPlan, found: Rehearsal | None) -> tuple[Guess, str]:
     """Return how many tests a problem will have, and what that rests on."""
     most, alpha = plan.budget, plan.problem.alpha
-    if plan.until_counterexample:
-        return Guess(most, 1, most), "its budget; a counterexample ends it earlier"
+    if plan.falsify is not None and plan.falsify.until == "budget":
+        return Guess(most, most, most), "its budget"
+    if plan.at_every_moment:
+        clusters = None if plan.falsify is None else plan.falsify.clusters
+        earlier = "a counterexample ends" if clusters is None else f"{clusters} clusters of failing starts end"
+        return Guess(most, 1, most), f"its budget; {earlier} it earlier"
     if alpha is None:
         return Guess(most, most, most), "fixed by the campaign file"
     # Invented values may contradict the constants; the real ones may not.

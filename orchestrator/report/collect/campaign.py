@@ -12,7 +12,7 @@ from ....schemas.errors import JournalError, PerfboundError
 from ....schemas.file.parts import parts_of
 from ....schemas.ids import CLOSING, closing_check
 from ....schemas.result.block_facts import BlockProposalFact
-from ....schemas.result.certificate import Certificate
+from ....schemas.result.certificate import Certificate, Predicate
 from ....schemas.result.facts import ExtensionFact, Header, ProposalFact
 from ....schemas.result.known import SoFar
 from ...campaign.observation import of_requirement
@@ -41,7 +41,7 @@ from .recorded_tests import ProposedTests
 from .scenes import SceneCache, bounded_scenes
 from .trust import TrustStatistics
 from .violations import ViolationStatistics
-from .wording import question_words
+from .wording import question_words, search_sentences
 from .workers import WorkerStatistics
 
 WORST_STARTS = 8
@@ -195,7 +195,7 @@ class Collector:
             claims=claims,
             composition=predicate.composition if predicate else None,
             assumptions=tuple(assumption_row(each, units) for each in predicate.assumptions) if predicate else (),
-            checks=check_sentences(predicate, units) if predicate else (),
+            checks=_after_the_tests(predicate, header) if predicate else (),
             problems=problems,
             scenes=tuple(
                 bounded_scenes(
@@ -222,7 +222,7 @@ class Collector:
             counterexample=ending_counterexample(
                 self._problems.values(),
                 violations.worst,
-                predicate.counterexample if predicate else None,
+                predicate,
                 header,
                 command,
             ),
@@ -305,6 +305,12 @@ def _collectors(header: Header) -> Iterator[tuple[str, ProblemCollector]]:
         yield plan.key, ProblemCollector(header, plan, header.config)
         for place, (part, config) in enumerate(zip(plan.parts, parts_of(header.config), strict=True)):
             yield part.key, ProblemCollector(header, part, config, partial(of_requirement, plan, place))
+
+
+def _after_the_tests(predicate: Predicate, header: Header) -> tuple[str, ...]:
+    """Return what followed the tests, in a sentence each; what a search found is beside its counterexample, if any."""
+    searched = search_sentences(predicate, header) if predicate.counterexample is None else ()
+    return (*searched, *check_sentences(predicate, parameter_units(header.spec)))
 
 
 def _axes(header: Header) -> tuple[Axis, ...]:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ....schemas.ids import RolloutId
 from ....schemas.result.certificate import Counterexample, Predicate, ProblemResult
 from ....schemas.result.facts import Header, RolloutFact
 from ...mathematics.bounds.kriging.method import KrigingMethod
@@ -175,15 +176,19 @@ class ProblemCompleter:
 def ending_counterexample(
     problems: Iterable[ProblemCollector],
     violations: Sequence[RolloutFact],
-    certified: Counterexample | None,
+    predicate: Predicate | None,
     header: Header,
     command: Callable[[str], str],
 ) -> FoundCounterexample | None:
-    """Return the rollout that ended a campaign; None if none did.
+    """Return the rollout that ended a campaign, or the worst one of a search that went on; None without one.
 
-    `violations` have the least robustness first, `certified` is that of the certificate, and `command` returns the
+    `violations` have the least robustness first, `predicate` is that of the certificate, and `command` returns the
     command that simulates a rollout again.
     """
+    if predicate is not None and (certified := predicate.counterexample) is not None:
+        sentences = wording.counterexample_sentences(certified, header) + wording.search_sentences(predicate, header)
+        problem = RolloutId.parse(certified.rollout).problem
+        return FoundCounterexample(problem, certified.test, sentences, command(certified.rollout))
     for each in problems:
         last = each.ended_by_counterexample
         if last is None:
@@ -195,7 +200,7 @@ def ending_counterexample(
         )
         worst = next(of_end, None)
         if worst is not None:
-            sentences = wording.counterexample_sentences(certified or _of_facts(each, worst), header)
+            sentences = wording.counterexample_sentences(_of_facts(each, worst), header)
             again = command(str(worst.rollout))
             return FoundCounterexample(worst.rollout.problem, worst.rollout.test, sentences, again)
     return None

@@ -13,6 +13,7 @@ from ...certificate.words.bound_text import as_required, chance, clip_words, out
 from ...certificate.words.confidence import anyway, confidence_sentences
 from ...certificate.words.known_text import violation_words
 from ...certificate.words.refutation_text import counterexample_parts, refutation_sentence
+from ...certificate.words.search_text import failure_parts, search_parts
 from ...certificate.words.text import claim_words, notes, nothing_shown, quantity_words
 from ...store.export_tables import robustness_unit
 from ..data.claims import Claim, VerdictCard
@@ -90,7 +91,17 @@ def current_bound(problems: Sequence[Problem], claims: Sequence[Claim]) -> str:
 
 def counterexample_sentences(found: document.Counterexample, header: Header) -> tuple[str, ...]:
     """Return the sentences on the rollout that ended a campaign, and on what followed it."""
-    parts = counterexample_parts(found, robustness_unit(header.config, header.spec), parameter_units(header.spec))
+    unit, units = robustness_unit(header.config, header.spec), parameter_units(header.spec)
+    return _sentences(counterexample_parts(found, unit, units))
+
+
+def search_sentences(predicate: document.Predicate, header: Header) -> tuple[str, ...]:
+    """Return the sentences on what a search has found beside the counterexample."""
+    unit, units = robustness_unit(header.config, header.spec), parameter_units(header.spec)
+    return _sentences(failure_parts(predicate.failures, unit, units) + search_parts(predicate.search, unit, units))
+
+
+def _sentences(parts: Sequence[str]) -> tuple[str, ...]:
     return tuple(typeset(f"{each[0].upper()}{each[1:]}.") for each in parts)
 
 

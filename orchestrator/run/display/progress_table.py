@@ -7,7 +7,7 @@ from rich.table import Table
 from ....schemas.file.config import CampaignConfig
 from ....schemas.file.parts import alpha_of
 from ....schemas.file.problem_models import Problem
-from ....schemas.ids import IMPORTANCE, RECHECK, RISK_CHECK, SHRINK, SPOT_CHECK, closing_check
+from ....schemas.ids import IMPORTANCE, RECHECK, RISK_CHECK, SHRINK, SIMPLEST, SPOT_CHECK, closing_check
 from ....schemas.values import ProblemProgress
 from ...campaign.clip import by_clip, floored
 from ...certificate.words.bound_text import outward
@@ -83,6 +83,7 @@ def progress_table(
             RISK_CHECK: config.spot_check_followups,
             SHRINK: config.falsify.improving_tests if config.falsify else 0,
             IMPORTANCE: config.falsify.sampled_tests if config.falsify else 0,
+            SIMPLEST: config.falsify.most_simplifying_tests if config.falsify else 0,
             RECHECK: config.recheck,
         }[closing_check(name) or name]
         end = "ended" if progress.stopped_by else f"of at most {most:,} tests"

@@ -9,7 +9,8 @@ from pydantic import ValidationError
 from rich.console import Console
 
 from perfbound.orchestrator.campaign.counterexample import ended
-from perfbound.orchestrator.campaign.series import Series
+from perfbound.orchestrator.campaign.plan import plan
+from perfbound.orchestrator.campaign.series import Account
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.words.text import print_certificate
 from perfbound.orchestrator.report.collect.campaign import Collector
@@ -22,7 +23,7 @@ from perfbound.schemas.result.certificate import Certificate
 from perfbound.schemas.result.facts import RolloutFact
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.values import Bound, Verdict
-from tests.fakes.simulators import noise, predicate, robustness, simulate, verified
+from tests.fakes.simulators import noise, predicate, robustness, simulate, spec, verified
 
 EXACT = {
     "method": "rigorous",
@@ -171,9 +172,11 @@ def test_one_rollout_below_zero_is_enough(
         RolloutFact(RolloutId("robustness", 0, "nominal", number), 1, "0" * 64, 1, "p", value)
         for number, value in enumerate(values)
     ]
-    bound, series = Bound(1.0, 0.0, verdict), Series("", last_facts=rollouts)
-    assert ended(robustness(EXACT, **UNTIL), bound, series) == Bound(1.0, 0.0, expected)
-    assert ended(robustness(EXACT), bound, series) == bound
+    config = robustness(EXACT)
+    problem = plan(config, spec(noisy=False), config.problems[0])
+    bound, account = Bound(1.0, 0.0, verdict), Account("", last_facts=rollouts, plan=problem)
+    assert ended(robustness(EXACT, **UNTIL), bound, account) == Bound(1.0, 0.0, expected)
+    assert ended(config, bound, account) == bound
 
 
 @pytest.mark.parametrize(

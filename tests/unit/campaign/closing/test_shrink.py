@@ -25,7 +25,7 @@ from tests.facts import says
 from tests.fakes.simulators import noise, robustness, simulate, spec, verified
 
 SAMPLE = {"method": "sample"}
-SHRINK = {"shrink": True}
+SHRINK = {"shrink": True, "simplest_tests": 0}
 
 
 @pytest.fixture(autouse=True)
@@ -169,8 +169,8 @@ def test_the_certificate_says_it_in_words(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_is_refused() -> None:
-    with pytest.raises(ValidationError, match="nominal: it is where `shrink` goes"):
-        sought({"nominal": {"z1": 0.5}})
+    with pytest.raises(ValidationError, match="nominal: `shrink` and `simplest_tests` go there"):
+        sought({"nominal": {"z1": 0.5}, "simplest_tests": 0})
     wrong = (({"z3": 0.5}, "unknown parameter; any-function has z1, z2"), ({"z1": 3.0}, "3 goes beyond"))
     for nominal, reason in wrong:
         with pytest.raises(CampaignError, match=reason):
