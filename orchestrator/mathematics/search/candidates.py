@@ -4,7 +4,7 @@ The knots of an input over time are neighbours: an input that stays where it is 
 shape that independent knots almost never have, and the one that fails a system whose state needs time.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -20,6 +20,8 @@ class Inputs:
 
     def __init__(self, dimension: int, signals: Sequence[Sequence[int]] = ()) -> None:
         self.dimension = dimension
+        self.over_time = any(len(knots) > 1 for knots in signals)
+        """Whether there is any input with several knots."""
         self._follows = np.zeros(dimension, dtype=np.bool_)
         for knots in signals:
             self._follows[list(knots[1:])] = True
@@ -34,10 +36,19 @@ class Inputs:
         return np.take_along_axis(values, source, axis=1)
 
 
+Shape = Callable[[np.random.Generator, int, Inputs], Floats]
+"""(random numbers, n, inputs) -> starts (n, p)."""
+
+
 def shaped(rng: np.random.Generator, n: int, inputs: Inputs) -> Floats:
     """Return starts (n, p) of which some parameters are at an end, from one of them to a corner, and inputs stay."""
     points = _at_ends(rng, rng.random((n, inputs.dimension)), rng.random((n, 1)))
     return inputs.held(rng, points, _often(rng, n))
+
+
+def cornered(rng: np.random.Generator, n: int, inputs: Inputs) -> Floats:
+    """Return starts (n, p) of which every parameter is at an end, and inputs stay there for long."""
+    return inputs.held(rng, (rng.random((n, inputs.dimension)) < 0.5).astype(np.float64), rng.uniform(0.5, 1.0, (n, 1)))
 
 
 def choices_among(rng: np.random.Generator, worst: Floats, inputs: Inputs) -> Floats:

@@ -4,10 +4,10 @@
 |------------------------------------------|-------------------------------------------------------------------------|
 | every `random_every`-th                  | of a scrambled Sobol sequence: a wrong model cannot blind the search    |
 | 0, and those before any observation      | of another such sequence                                                |
+| 1, where there are inputs over time      | a corner, at which inputs stay for long                                 |
 | 2                                        | the middle of the box                                                   |
-| while all values are equal               | half of a third such sequence, half with shapes, see `candidates`       |
-| one of four, while nothing has improved  | one with such a shape                                                   |
-| the others                               | the best of many candidates for the models of `models`                  |
+| while most tests have the least value    | half of a third such sequence, half with shapes, see `candidates`       |
+| the others                               | of an arm of `portfolio`: mostly the best of many candidates for models |
 
 Deviation: nothing here is a bound, and no claim follows from a search. Claims use the constants of the campaign, or
 random starts alone.
@@ -20,9 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..gp.kernels import Floats
-from .candidates import BEST, Inputs, choices_among, nearby, shaped
+from .candidates import BEST, Inputs, Shape, choices_among, cornered, nearby, shaped
 from .goal import ALONE, Goal
 from .models import Models, Score
+from .portfolio import Arm, Portfolio, gain
 
 Point = tuple[float, ...]
 Admitted = Callable[[Floats], NDArray[np.bool_]]
@@ -35,11 +36,11 @@ BLOCK = 1024
 """Points of a Sobol sequence; the next ones are of a sequence of its own."""
 ROUNDS = (0.1, 0.03, 0.01)
 """Steps around the best candidates, in length scales."""
+MIDDLE = 2
+"""Number of the test in the middle of the box; later ones have arms."""
 SHAPES = 64
 """Starts of which the first admitted one is taken."""
-PATIENCE = 20
-"""Tests without an improvement after which one of four is tried elsewhere: a model can be stuck at a wrong place."""
-MODEL, SOBOL, FIRST, FLAT, SHAPED = range(5)
+MODEL, SOBOL, FIRST, FLAT, SHAPED, ARM = range(6)
 """Streams of random numbers."""
 
 
@@ -85,6 +86,7 @@ class Falsifier:
         self._seed, self._random_every, self._admitted = seed, random_every, admitted
         self._inputs = Inputs(len(self._low), signals)
         self._models = Models(len(self._low), goal)
+        self._arms = Portfolio([seed, ARM], self._models.parts)
         self._sobol: dict[int, tuple[int, Floats]] = {}
 
     @property
@@ -129,6 +131,9 @@ class Falsifier:
             raise ValueError(f"{len(parts)} values of parts for a goal of {self._models.parts}")
         if not all(map(math.isfinite, (value, *parts))):
             raise ValueError(f"the robustness of {point} is {value}; a search needs finite numbers, clip it")
+        # The arm by the tests before this one, as when it was proposed: but for what tests in flight then changed.
+        if (test := self.observations) > MIDDLE and not self.is_random(test) and not self._models.flat:
+            self._arms.observe(self._arms.arm(test), gain(min(self._models.robustness), value))
         self._models.observe(self._unit(point), parts or (value,), value)
 
     def _without_model(self, test: int) -> Floats | None:
@@ -136,20 +141,29 @@ class Falsifier:
         # Without these the search took twice as many tests to find narrow needles, plateaus and jumps.
         if self.is_random(test):
             return self._sobol_point(SOBOL, test // self._random_every)
+        if test == 1 and self._inputs.over_time:
+            return self._shaped(test, cornered)
         if not test or not self.observations:
             return self._sobol_point(FIRST, test)
         if self._models.flat:
             # Numbered one by one: every fourth number of such a sequence alone leaves parts of the box empty.
-            return self._sobol_point(FLAT, 2 * (test // 4) + test % 4 - 1) if test % 4 in {1, 2} else self._shaped(test)
-        if test == 2:
+            of_sequence = test % 4 in {1, 2}
+            return self._sobol_point(FLAT, test // 4 * 2 + test % 4 - 1) if of_sequence else self._shaped(test, shaped)
+        if test == MIDDLE:
             return np.full(len(self._low), 0.5)
-        if test % 4 == 1 and self._models.since_the_best >= PATIENCE:
-            return self._shaped(test)
+        return self._of_arm(test)
+
+    def _of_arm(self, test: int) -> Floats | None:
+        match self._arms.arm(test):
+            case Arm.ANYWHERE:
+                return self._sobol_point(FIRST, test)
+            case Arm.SHAPED:
+                return self._shaped(test, shaped if test % 2 else cornered)
         return None
 
-    def _shaped(self, test: int) -> Floats:
+    def _shaped(self, test: int, shape: Shape) -> Floats:
         rng = np.random.default_rng([self._seed, SHAPED, test])
-        return np.asarray(self._inside(shaped(rng, SHAPES, self._inputs))[0], dtype=np.float64)
+        return np.asarray(self._inside(shape(rng, SHAPES, self._inputs))[0], dtype=np.float64)
 
     def _by_model(self, test: int, pending: list[Floats]) -> Floats:
         score, lengths = self._score(test, pending)
@@ -162,7 +176,7 @@ class Falsifier:
         return np.asarray(found[np.argmax(score(found))], dtype=np.float64)
 
     def _score(self, test: int, pending: list[Floats]) -> tuple[Score, Floats]:
-        return self._models.scores(downwards=test % 3 == 1, pending=pending)
+        return self._models.scores(self._arms.arm(test), pending)
 
     def _inside(self, found: Floats) -> Floats:
         """Return the admitted ones of some points (m, p) of the unit box; all of them if there are none."""

@@ -1,9 +1,10 @@
 """What a search knows: a Gaussian process of each part of its goal, and one of the whole, and what they propose.
 
-| function                                  | when         | purpose                                           |
-|-------------------------------------------|--------------|---------------------------------------------------|
-| ln P(z < t), of the parts together        | two of three | far from 0 it explores, near 0 it goes there      |
-| E max(min z - Z, 0), Z ~ N(mu, sigma^2)   | one of three | leads downwards where a jump hides the way to 0   |
+| function                                  | arm      | purpose                                           |
+|-------------------------------------------|----------|---------------------------------------------------|
+| ln P(z < t), of the parts together        | `LIKELY` | far from 0 it explores, near 0 it goes there      |
+| the same, of the whole                    | `WHOLE`  | where parts that cannot fail lead nowhere         |
+| E max(min z - Z, 0), Z ~ N(mu, sigma^2)   | `LOWER`  | leads downwards where a jump hides the way to 0   |
 """
 
 import math
@@ -14,16 +15,18 @@ import scipy
 from numpy.typing import NDArray
 
 from ..gp.kernels import Floats
-from .goal import Goal, log_failure, margins, numbers
+from .goal import Goal, log_failure, numbers
+from .portfolio import Arm
 from .surrogate import Surrogate, fitted, prior_mode
-from .warp import spread_below, warped
+from .warp import warped
 
 LARGEST = 200
 """Tests that a model contains; of more, the worst half and an even choice of the others."""
 LARGEST_FITTED = 80
 """Tests that the length scales are fitted to, chosen alike."""
 FEWEST = 2
-"""Tests with one value after which nothing leads anywhere: without a mean a model goes from corner to corner."""
+"""Tests after which a value that most of them share, and none is below, leads nowhere: without a mean a model goes from
+corner to corner."""
 GROWTH = 0.1
 """The length scales are fitted again after so many more tests, relative to their number."""
 
@@ -60,19 +63,18 @@ class Models:
 
     @property
     def flat(self) -> bool:
-        """Whether nothing has been seen that could lead anywhere: every part has one value in several tests."""
-        return len(self.points) >= FEWEST and all(each == self._values[0] for each in self._values)
+        """Whether nothing has been seen that could lead anywhere: most tests share the least value of each part."""
+        if len(self.points) < FEWEST:
+            return False
+        return all(2 * part.count(min(part)) > len(part) for part in zip(*self._values, strict=True))
 
-    @property
-    def since_the_best(self) -> int:
-        """Tests after the one with the least robustness."""
-        return len(self.robustness) - 1 - int(np.argmin(self.robustness))
-
-    def scores(self, *, downwards: bool, pending: Sequence[Floats]) -> tuple[Score, Floats]:
-        """Return an acquisition function and the length scales (p,) around its best points."""
+    def scores(self, arm: Arm, pending: Sequence[Floats]) -> tuple[Score, Floats]:
+        """Return the acquisition function of an arm and the length scales (p,) around its best points."""
         modelled = list(zip(self._modelled(), self._thetas, strict=True))
-        if downwards:
-            model, z, _ = self._fitted(*modelled[-1], pending)
+        if arm is not Arm.LIKELY:
+            model, z, level = self._fitted(*modelled[-1], pending)
+            if arm is Arm.WHOLE:
+                return (lambda found: _deviations(model, found, level)), model.lengths
             return (lambda found: _improvement(model, found, float(np.min(z)))), model.lengths
         models = [self._fitted(*each, pending) for each in modelled[: self.parts]]
         lengths = np.min([model.lengths for model, _, _ in models], axis=0)
@@ -91,12 +93,10 @@ class Models:
         return Surrogate(theta, np.array(self.points)[kept], z, pending[-LARGEST:]), z, level
 
     def _modelled(self) -> list[Floats]:
-        """Return the values (n,) of each model: of each part, and of the whole with each part in its own unit."""
+        """Return the values (n,) of each model: of each part, and of the whole."""
         values = np.array(self._values, dtype=np.float64)
         each = list(values.T)
-        if self.parts == 1:
-            return each
-        return [*each, margins(self._goal, values / [spread_below(part) for part in each])]
+        return each if self.parts == 1 else [*each, np.array(self.robustness)]
 
 
 def _chosen(values: Floats, largest: int) -> tuple[NDArray[np.intp], Floats, float]:

@@ -1,5 +1,7 @@
 """The search for a start that fails: what a proposal depends on, and what it must survive."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,9 +9,10 @@ from hypothesis import strategies as st
 from scipy.stats import norm
 
 from perfbound.orchestrator.mathematics.search.candidates import Inputs
-from perfbound.orchestrator.mathematics.search.falsifier import Falsifier, Point
+from perfbound.orchestrator.mathematics.search.falsifier import ARM, Falsifier, Point
 from perfbound.orchestrator.mathematics.search.goal import Every, Part
 from perfbound.orchestrator.mathematics.search.models import _deviations, _improvement
+from perfbound.orchestrator.mathematics.search.portfolio import Arm, Portfolio
 from perfbound.orchestrator.mathematics.search.surrogate import Surrogate, _likelihood, fitted, prior_mode
 from perfbound.orchestrator.mathematics.search.warp import warped
 
@@ -133,17 +136,44 @@ def test_while_all_values_are_equal_starts_are_spread_over_the_box() -> None:
     assert np.all(np.abs((sobol < 0.5).mean(axis=0) - 0.5) < 0.05)
 
 
-def test_while_nothing_improves_one_of_four_is_elsewhere() -> None:
+def test_starts_of_some_arms_are_chosen_by_no_model() -> None:
     def proposed(first: float) -> list[Point]:
         search, points = Falsifier(LOW, HIGH, seed=1), list[Point]()
-        for test in range(40):
+        for test in range(60):
             points.append(search.propose())
             search.observe(points[-1], 1.0 + bowl(points[-1]) if test else first)
-        return points[25::4]
+        return points
 
-    # With the least value at test 0 none of the others improves anything, whatever it is.
-    assert proposed(0.5) == proposed(0.4)
-    assert proposed(0.5) != proposed(5.0)
+    # With the least value at test 0 none of the others is a gain, whatever it is, so that the arms are the same.
+    arms = Portfolio([1, ARM], parts=1)
+    for test, (one, other) in enumerate(zip(proposed(0.5), proposed(-5.0), strict=True)):
+        if test <= 2 or test % 4 == 3:
+            continue
+        arm = arms.arm(test)
+        assert (one == other) == (arm in {Arm.SHAPED, Arm.ANYWHERE}), test
+        arms.observe(arm, 0.0)
+
+
+def test_the_second_start_is_a_corner_where_inputs_stay() -> None:
+    for seed in range(8):
+        search = Falsifier((0.0,) * 9, (1.0,) * 9, seed=seed, signals=[range(8)])
+        pending = [search.propose()]
+        corner = search.propose(pending)
+        assert set(corner) <= {0.0, 1.0}
+        assert sum(a != b for a, b in pairwise(corner[:8])) <= 4
+        search.observe(pending[0], 1.0)
+        assert search.propose() == corner
+
+
+def test_a_plateau_below_which_nothing_is_leads_nowhere() -> None:
+    def proposed(low: float) -> list[Point]:
+        search, points = Falsifier(LOW, HIGH, seed=1), list[Point]()
+        for test in range(24):
+            points.append(search.propose())
+            search.observe(points[-1], low if test % 3 else 5.0 + bowl(points[-1]))
+        return points
+
+    assert proposed(0.5)[9:] == proposed(0.25)[9:]
 
 
 def test_the_third_start_is_the_middle_where_values_differ() -> None:
