@@ -180,15 +180,16 @@ def _one_more(times: Floats, horizon: float) -> str:
 
 
 def _other_step(times: Floats, horizon: float) -> str:
-    """Return which step the samples seem to have: the one that covers the horizon, where that is a round number."""
+    """Return which step the samples seem to have: one that covers the horizon, where it is a multiple of their own."""
     steps = np.diff(times)
     if not len(steps) or float(np.ptp(steps)) > SHARE * float(steps.min()):
         return ""
     meant, samples = float(f"{horizon / len(steps):.3g}"), len(times)
-    close = abs(meant * len(steps) - horizon) <= STRICT[0] * horizon
-    if not close:
-        return ""
     own = float(steps[0])
+    # A model that records every second sample; any other factor is that of a rollout that ends early.
+    several = abs(meant / own - round(meant / own)) <= SHARE and round(meant / own) > 1
+    if not several or abs(meant * len(steps) - horizon) > STRICT[0] * horizon:
+        return ""
     return (
         f"{samples} samples are {horizon:g} s in steps of {meant:g} s, not of {own:.3g} s: correct the step, or return "
         f"{round(horizon / own) + 1} samples"

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ..gp.kernels import Floats
 from .candidates import BEST, Inputs, Shape, choices_among, cornered, nearby, shaped
 from .goal import ALONE, Goal
-from .models import Models, Score
+from .models import LARGEST, Models, Score
 from .portfolio import Arm, Portfolio, gain
 
 Point = tuple[float, ...]
@@ -38,6 +38,8 @@ ROUNDS = (0.1, 0.03, 0.01)
 """Steps around the best candidates, in length scales."""
 MIDDLE = 2
 """Number of the test in the middle of the box; later ones have arms."""
+APART = 0.01
+"""Least distance of a choice from each test in flight, in the range of some parameter."""
 SHAPES = 64
 """Starts of which the first admitted one is taken."""
 MODEL, SOBOL, FIRST, FLAT, SHAPED, ARM = range(6)
@@ -169,10 +171,11 @@ class Falsifier:
         score, lengths = self._score(test, pending)
         rng = np.random.default_rng([self._seed, MODEL, test])
         worst = np.argsort(self._models.robustness, kind="stable")[:WORST]
-        found = self._inside(choices_among(rng, np.array([self._models.points[each] for each in worst]), self._inputs))
+        found = choices_among(rng, np.array([self._models.points[each] for each in worst]), self._inputs)
+        found = _apart(self._inside(found), pending)
         for step in ROUNDS:
             best = found[np.argsort(-score(found), kind="stable")[:BEST]]
-            found = self._inside(nearby(rng, best, step * np.minimum(lengths, 1.0)))
+            found = _apart(self._inside(nearby(rng, best, step * np.minimum(lengths, 1.0))), pending)
         return np.asarray(found[np.argmax(score(found))], dtype=np.float64)
 
     def _score(self, test: int, pending: list[Floats]) -> tuple[Score, Floats]:
@@ -200,3 +203,12 @@ class Falsifier:
 
     def _unit(self, point: Point) -> Floats:
         return np.asarray((np.array(point) - self._low) / (self._high - self._low), dtype=np.float64)
+
+
+def _apart(found: Floats, pending: Sequence[Floats]) -> Floats:
+    """Return those of some points (m, p) that are apart from the tests in flight in some parameter; all if none is."""
+    # Where a model is sure of a failure in flight, nothing else leads away from it: it would be asked for again.
+    apart = np.ones(len(found), dtype=np.bool_)
+    for each in pending[-LARGEST:]:
+        apart &= np.max(np.abs(found - each), axis=1) > APART
+    return found[apart] if apart.any() else found

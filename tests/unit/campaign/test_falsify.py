@@ -366,7 +366,7 @@ def test_tests_of_another_machine_are_followed_and_those_of_nobody_are_not(
 
     def chosen(search: Falsifier, pending: Sequence[tuple[float, ...]] = ()) -> tuple[float, ...]:
         test = search.observations + len(pending)
-        return (1.0, 1.0) if test == 21 else propose(search, pending)
+        return (1.0, 1.0) if test == 20 else propose(search, pending)
 
     config = sought(problem, max_tests=24, resolution=21)
     for name, other, failed in (("rounded", rounded, []), ("chosen", chosen, ["proposals"])):

@@ -114,6 +114,18 @@ def test_the_same_start_may_be_observed_many_times() -> None:
     assert search.propose() != (0.0, 10.5, 5e-4)
 
 
+def test_no_test_in_flight_is_asked_for_again_where_the_model_is_sure_of_a_failure() -> None:
+    for seed in range(6):
+        search = Falsifier((0.0, 0.0), (1.0, 1.0), seed=seed)
+        for _ in range(8):
+            point = search.propose()
+            search.observe(point, 1.0 - point[0])
+        pending: list[Point] = []
+        for _ in range(8):
+            pending.append(search.propose(pending))
+        assert len({tuple(np.round(each, 6)) for each in pending}) == 8
+
+
 def test_the_model_chooses_admitted_points_alone() -> None:
     search = Falsifier(LOW, HIGH, seed=1, admitted=lambda points: points[:, 0] < 0.0)
     for test in range(24):
