@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,8 @@ class Benchmark:
     """From a point (p,) of the box, in the units of the inputs."""
     simulate_each: Callable[[Floats], Rollout] | None = None
     """From points (R, p): columns (R, T), where the model has more than one rollout at once."""
+    inputs: tuple[int, ...] = ()
+    """Knots of each input over time, in the order of the parameters; those after them are numbers."""
 
     @cached_property
     def parsed(self) -> Formula:
@@ -40,3 +43,13 @@ class Benchmark:
     def dimension(self) -> int:
         """Number of parameters."""
         return len(self.low)
+
+    @property
+    def signals(self) -> list[range]:
+        """The parameters of each input over time.
+
+        >>> Benchmark("B", 1, (0.0,) * 6, (1.0,) * 6, "x > 0", lambda _: ({}, {}), inputs=(2, 3)).signals
+        [range(0, 2), range(2, 5)]
+        """
+        ends = list(accumulate(self.inputs))
+        return [range(end - knots, end) for knots, end in zip(self.inputs, ends, strict=True)]

@@ -8,17 +8,20 @@ import json
 import os
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Objective = Callable[[Floats], float]
+from perfbound.orchestrator.mathematics.search.goal import ALONE, Goal
+from tests.studies.falsification.benchmark import Floats
+
+Margins = tuple[float, tuple[float, ...]]
+"""The robustness of a rollout, and that of each part of a requirement with several."""
+Objective = Callable[[Floats], Margins]
 """A point (p,) of the unit box -> its robustness."""
 
 ENVIRONMENT = Path(".venv-bench/bin/python")
@@ -35,7 +38,7 @@ class Search(Protocol):
         """Return the next point (p,)."""
         ...
 
-    def tell(self, value: float) -> None:
+    def tell(self, margins: Margins) -> None:
         """Give it the robustness of the point."""
         ...
 
@@ -49,12 +52,12 @@ Begin = Callable[[int, int], Search]
 
 
 class Ours:
-    """Our search."""
+    """Our search, which knows as in a campaign what is a part of the requirement, and which knots are of one input."""
 
-    def __init__(self, dimension: int, seed: int) -> None:
+    def __init__(self, dimension: int, seed: int, goal: Goal = ALONE, signals: Sequence[Sequence[int]] = ()) -> None:
         from perfbound.orchestrator.mathematics.search import Falsifier
 
-        self._search = Falsifier((0.0,) * dimension, (1.0,) * dimension, seed=seed)
+        self._search = Falsifier((0.0,) * dimension, (1.0,) * dimension, seed=seed, signals=signals, goal=goal)
         self._asked: tuple[float, ...] = ()
         self.cpu = 0.0
 
@@ -64,9 +67,9 @@ class Ours:
         self.cpu += time.process_time() - begin
         return np.array(self._asked)
 
-    def tell(self, value: float) -> None:
-        begin = time.process_time()
-        self._search.observe(self._asked, value)
+    def tell(self, margins: Margins) -> None:
+        begin, (value, parts) = time.process_time(), margins
+        self._search.observe(self._asked, value, parts)
         self.cpu += time.process_time() - begin
 
     def stop(self) -> None:
@@ -85,8 +88,8 @@ class Peer:
         self.cpu, point = json.loads(self._process.read())
         return np.array(point)
 
-    def tell(self, value: float) -> None:
-        self._process.write(repr(value))
+    def tell(self, margins: Margins) -> None:
+        self._process.write(repr(margins[0]))
 
     def stop(self) -> None:
         self._process.write("")
@@ -147,9 +150,9 @@ class Outcome:
 def outcome(search: Search, objective: Objective, budget: int) -> Outcome:
     """Run a search until the first robustness below 0, for at most `budget` simulations."""
     for simulations in range(1, budget + 1):
-        value = objective(search.ask())
-        if value < 0 or simulations == budget:
+        margins = objective(search.ask())
+        if margins[0] < 0 or simulations == budget:
             break
-        search.tell(value)
+        search.tell(margins)
     search.stop()
-    return Outcome(simulations, value < 0, search.cpu)
+    return Outcome(simulations, margins[0] < 0, search.cpu)

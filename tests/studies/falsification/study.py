@@ -6,12 +6,14 @@ from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from perfbound.orchestrator.mathematics.search.goal import goal_of
+from perfbound.orchestrator.mathematics.stl.parser import Formula
 from perfbound.orchestrator.mathematics.stl.robustness import robustness
 from perfbound.schemas import atomic
 from tests.studies.falsification.benchmark import Benchmark, Floats, Rollout
@@ -59,21 +61,28 @@ class Row:
     """CPU time of the search itself per simulation."""
 
 
-def at(system: Benchmark, point: Floats) -> float:
-    """Return the robustness at a point (p,) of the unit box."""
+def simulated(system: Benchmark, point: Floats) -> Rollout:
+    """Return the rollout at a point (p,) of the unit box."""
     low, high = np.array(system.low), np.array(system.high)
-    return value(system, system.simulate(low + np.clip(point, 0.0, 1.0) * (high - low)))
+    return system.simulate(low + np.clip(point, 0.0, 1.0) * (high - low))
 
 
-def value(system: Benchmark, rollout: Rollout) -> float:
+def value(formula: Formula, rollout: Rollout) -> float:
     """Return the robustness of a rollout."""
     times, columns = rollout
-    return robustness(system.parsed, ("t", *columns), np.column_stack([times, *columns.values()]))
+    return robustness(formula, ("t", *columns), np.column_stack([times, *columns.values()]))
 
 
 def objective_of(system: Benchmark) -> Objective:
-    """Return the robustness as a function on the unit box."""
-    return lambda point: at(system, point)
+    """Return the robustness, and that of each part of the requirement, as a function on the unit box."""
+    _, parts = goal_of(system.parsed)
+    parts = parts if len(parts) > 1 else ()
+
+    def margins(point: Floats) -> tuple[float, tuple[float, ...]]:
+        rollout = simulated(system, point)
+        return value(system.parsed, rollout), tuple(value(part, rollout) for part in parts)
+
+    return margins
 
 
 def runs(names: Sequence[str], instances: Sequence[int], searches: Sequence[str], seeds: Iterable[int]) -> list[Run]:
@@ -93,16 +102,18 @@ def _peers() -> PeerProcess:
     return _AT_EXIT.enter_context(peer_process())
 
 
-def begin_of(search: str) -> Begin:
-    """Return how a search of this name begins."""
-    return Ours if search == OURS else _peers().begin(search)
+def begin_of(search: str, system: Benchmark) -> Begin:
+    """Return how a search of this name begins; ours knows the parts of the requirement and the inputs over time."""
+    if search == OURS:
+        return partial(Ours, goal=goal_of(system.parsed)[0], signals=system.signals)
+    return _peers().begin(search)
 
 
 def measured(run: Run) -> Row:
     """Run a search."""
     system = benchmark(run.benchmark, run.instance)
     with threadpool_limits(1):
-        found = outcome(begin_of(run.search)(system.dimension, run.seed), objective_of(system), run.budget)
+        found = outcome(begin_of(run.search, system)(system.dimension, run.seed), objective_of(system), run.budget)
     return Row(run, found.simulations, found.found, round(1000 * found.cpu / found.simulations, 2))
 
 

@@ -48,7 +48,7 @@ def test_a_rollout_is_as_long_as_its_requirement(system: Benchmark) -> None:
     times, columns = system.simulate(point)
     check_horizon(system.parsed, float(times[-1]), slack=1e-6)
     assert all(values.shape == times.shape and np.all(np.isfinite(values)) for values in columns.values())
-    assert np.isfinite(study.value(system, (times, columns)))
+    assert np.isfinite(study.value(system.parsed, (times, columns)))
 
 
 @pytest.mark.parametrize("system", AT_ONCE)
@@ -57,7 +57,7 @@ def test_many_rollouts_at_once_are_those_of_each(system: Benchmark) -> None:
     drawn = points(system, 3)
     times, columns = system.simulate_each(drawn)
     found = evaluated_each(system.parsed, ("t", *columns), times, np.stack(list(columns.values()))).robustness
-    alone = [study.value(system, system.simulate(point)) for point in drawn]
+    alone = [study.value(system.parsed, system.simulate(point)) for point in drawn]
     np.testing.assert_allclose(found, alone, rtol=1e-9, atol=1e-9)
 
 

@@ -24,7 +24,8 @@ LEVEL = 0.9
 
 def simulations(begin: Begin, system: FailingSystem, seeds: Sequence[int] = SEEDS) -> list[int]:
     """Return the simulations to the first counterexample for each seed, at most `BUDGET`."""
-    return [outcome(begin(system.dimension, seed), system, BUDGET).simulations for seed in seeds]
+    found = (outcome(begin(system.dimension, seed), lambda unit: (system(unit), ()), BUDGET) for seed in seeds)
+    return [each.simulations for each in found]
 
 
 def interval(counts: Sequence[int]) -> tuple[float, float]:

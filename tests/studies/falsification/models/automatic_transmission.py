@@ -249,7 +249,7 @@ def _benchmark(name: str, formula: str, instance: int) -> Benchmark:
     throttle, brake = _counts(duration, instance)
     low, high = ((THROTTLE[end],) * throttle + (BRAKE[end],) * brake for end in (0, 1))
     each = partial(simulate_each, duration=duration, instance=instance)
-    return Benchmark(name, instance, low, high, formula, partial(one, each), each)
+    return Benchmark(name, instance, low, high, formula, partial(one, each), each, (throttle, brake))
 
 
 def _stays_in(gear: int) -> str:

@@ -138,9 +138,10 @@ REQUIREMENTS = {
 
 
 def _benchmark(name: str, formula: str, instance: int) -> Benchmark:
-    count = 2 * (KNOTS if instance == 1 else math.ceil(DURATION / EVERY))
+    knots = KNOTS if instance == 1 else math.ceil(DURATION / EVERY)
     each = partial(simulate_each, instance=instance)
-    return Benchmark(name, instance, (0.0,) * count, (1.0,) * count, formula, partial(one, each), each)
+    low, high = ((end,) * 2 * knots for end in (0.0, 1.0))
+    return Benchmark(name, instance, low, high, formula, partial(one, each), each, (knots, knots))
 
 
 BENCHMARKS = tuple(_benchmark(name, each, instance) for name, each in REQUIREMENTS.items() for instance in (1, 2))

@@ -282,6 +282,7 @@ BENCHMARKS = tuple(
         (*[pedal[1]] * SEGMENTS, SPEEDS[1]),
         formula,
         simulate,
+        inputs=(SEGMENTS,),
     )
     for name, pedal, formula in REQUIREMENTS
 )

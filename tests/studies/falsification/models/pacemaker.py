@@ -69,6 +69,7 @@ BENCHMARKS = tuple(
         (RATES[1],) * KNOTS,
         FORMULA,
         partial(simulate, knots=instance == 1),
+        inputs=(KNOTS,),
     )
     for instance in (1, 2)
 )

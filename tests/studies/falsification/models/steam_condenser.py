@@ -158,6 +158,14 @@ def simulate(point: Floats, *, knots: bool) -> Rollout:
 
 
 BENCHMARKS = tuple(
-    Benchmark("SC", instance, (3.99,) * values, (4.01,) * values, FORMULA, partial(simulate, knots=instance == 1))
+    Benchmark(
+        "SC",
+        instance,
+        (3.99,) * values,
+        (4.01,) * values,
+        FORMULA,
+        partial(simulate, knots=instance == 1),
+        inputs=(values,),
+    )
     for instance, values in ((1, KNOTS), (2, SEGMENTS))
 )
