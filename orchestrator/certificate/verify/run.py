@@ -230,7 +230,7 @@ def _campaign(rerun: Rerun, text: str, files_read: int, certificate: Certificate
     count = sum(sum(account.counts.values()) for account in accounts.values())
     checks.passed("requests", counted(count, "rollout"))
     checks.passed("trajectories", counted(files_read, "file"))
-    ties = f", {rerun.ties:,} of them one of several within 1e-9" if rerun.ties else ""
+    ties = f", {rerun.ties:,} of them as good as another start but for rounding" if rerun.ties else ""
     checks.passed("proposals", f"{counted(tests, 'test')}{ties}")
     problems = rerun.ledger.accounts.values()
     bare = sum(sum(each.counts.values()) - each.kept.number for each in problems)

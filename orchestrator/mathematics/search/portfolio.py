@@ -10,8 +10,6 @@
 
 Arm a is drawn with probability v_a/sum v. While the models lead downwards they have nearly all tests. One that finds
 nothing falls back to those that were hardly tried, and none falls to 0: a search that is stuck goes on elsewhere.
-
-A trust region around the lowest start was an arm, and gained per test what `LOWER` gains: it is left out.
 """
 
 from enum import Enum
