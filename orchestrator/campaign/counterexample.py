@@ -2,7 +2,8 @@
 
 The order is that of the tests, not of the results, so that the number and the speed of the workers change nothing. The
 bound up to there holds as it does after every test: methods `rigorous` and `scenario` are valid at every moment, also
-at one that depends on the outcomes. A search may go on: then so many clusters of failing starts end it, or its budget.
+at one that depends on the outcomes. A search that continues ends with so many clusters of failing starts, or with its
+budget.
 """
 
 from dataclasses import dataclass, replace
@@ -41,12 +42,12 @@ def _is_found(config: CampaignConfig, account: Account) -> bool:
 
 
 def counterexample(account: Account) -> Found | None:
-    """Return the failing test that ended a problem, or the worst one of a search that went on; None without one."""
+    """Return the failing test that ended a problem, or the worst one of a search that continued; None without one."""
     return min(found_failures(account), key=lambda each: each.rollout.robustness or 0.0, default=None)
 
 
 def found_failures(account: Account) -> list[Found]:
-    """Return the failing test that ended a problem, or the worst one of each cluster of a search that went on."""
+    """Return the failing test that ended a problem, or the worst one of each cluster of a search that continued."""
     if account.clusters is not None:
         return [Found(each.worst.start, each.worst.test) for each in account.clusters.found]
     last = account.last_bound

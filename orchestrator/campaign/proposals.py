@@ -15,12 +15,11 @@ from ..mathematics.search import Falsifier
 from ..mathematics.search.clusters import Clusters
 from ..mathematics.stl.condition import Truth
 from .methods import ProblemMethod
-from .objectives import LARGEST
 from .observation import for_search, goal_of_search
 from .plan import ProblemPlan
 from .region import Condition, Start, condition
 from .seeds import first_node, uniform
-from .series import FailureClusters, Series
+from .series import FailureClusters, Series, worst_rollout
 from .starts import AllowedStarts, Draws, Listed, drawn_starts, of_space
 
 
@@ -193,13 +192,12 @@ class SearchSource:
         proposal = series.last_proposal
         assert proposal is not None
         assert isinstance(fact, ObservationFact)
-        # The worst, not the mean: one rollout below 0 is the counterexample. Of equal ones the least parts, not the
-        # first that arrived: the order of arrival depends on the workers.
-        scored = ((each.robustness, each.parts) for each in series.last_rollouts if each.robustness is not None)
-        worst, parts = min(scored, default=(LARGEST, ()))
+        # The worst, not the mean: one rollout below 0 is the counterexample.
+        worst = worst_rollout(series.last_rollouts)
+        assert worst.robustness is not None
         # A drawn start may have a disturbance beyond what a search chooses.
         x = tuple(np.clip(proposal.x, *self._space.box).tolist())
-        self._search.observe(x, *for_search(self._goal, worst, parts, has_scale=self._has_scale))
+        self._search.observe(x, *for_search(self._goal, worst.robustness, worst.parts, has_scale=self._has_scale))
         if self._plan.is_evidence(fact.test):
             return self._method.observe(proposal, fact.observation)
         # A start that was chosen by the outcomes before it is no sample: the bound is that of the samples so far.

@@ -284,9 +284,12 @@ def _same_bound(recomputed: Bound, recorded: Bound) -> bool:
 
 
 def worst_rollout(rollouts: Iterable[RolloutFact]) -> RolloutFact:
-    """Return the rollout of least robustness, of equal ones the first by its name; raises ValueError without any."""
+    """Return the rollout of least robustness; raises ValueError without any.
+
+    Of equal ones that of the least parts, then the first by its name: the order of arrival depends on the workers.
+    """
     scored = (each for each in rollouts if each.robustness is not None)
-    return min(scored, key=lambda each: (each.robustness, each.rollout))
+    return min(scored, key=lambda each: (each.robustness, each.parts, each.rollout))
 
 
 # The account of a problem
@@ -351,7 +354,7 @@ class Account(Series):
     """Of a gap: the most by which a robustness differed beyond L times the gap; above 0 it dominates nothing."""
     robustness: MutableSequence[float] = field(default_factory=lambda: array("d"))
     clusters: FailureClusters | None = None
-    """Of a search that goes on after its first failure."""
+    """Of a search that continues after its first failure."""
     lowest: tuple[tuple[float, ...], RolloutFact] | None = None
     """Of a search: the start and the rollout of least robustness, of equal ones the first."""
 

@@ -145,7 +145,7 @@ def _any_violation(violations: Violations, *, searched: bool) -> VerdictFinding 
     """Return the finding where some rollout violates the specification: who names no acceptable share accepts none."""
     if not violations.violations:
         return None
-    if searched:  # whoever searches asks for no probability
+    if searched:  # a search asks for no probability
         reason = "A rollout violates the specification: the search has found what it sought."
         return VerdictFinding("VIOLATED", (reason,), (AFTER_SEARCH,), "certain")
     reason = "A rollout violates the specification, and the campaign file names no acceptable probability of that."

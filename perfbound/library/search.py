@@ -31,7 +31,7 @@ from .handed_in import of_columns
 from .process import reproducible
 
 MARGIN = "margin"
-"""The only column where no specification is given: the number that is told."""
+"""The only column where no specification is given: the number that the caller gives."""
 NO_BOX = "Search: space: a search is over ranges; give that of each parameter, {'gap': (20, 50)}"
 BLOCK, BLOCKS = 1024, 1000
 """Random starts that are drawn together, and how often, until one is in the region."""
@@ -49,12 +49,12 @@ class Search:
     found or not found.
 
     `space` has the ranges of `pb.Campaign`: (low, high), steps, choices, `where`, and inputs over time, which need the
-    `horizon` in s and are `InputSignal` in a start. With `specification` a trajectory is told in place of a margin, and
-    each part of the formula has a model of its own; `discrete` and `beyond` are those of `pb.robustness`. `scale` has
-    the usual range of each column, as in `falsify`: it compares predicates inside one part.
+    `horizon` in s and are `InputSignal` in a start. With `specification` an outcome is a trajectory in place of a
+    margin, and each part of the formula has a model of its own; `discrete` and `beyond` are those of `pb.robustness`.
+    `scale` has the usual range of each column, as in `falsify`: it compares predicates inside one part.
 
     The same seed, and the same calls in the same order, give the same starts on one machine. Several starts may be
-    asked for before the first one is told, also by several threads. Inside, BLAS uses one thread.
+    asked for before the first outcome, also by several threads. Inside, BLAS uses one thread.
 
     Raises:
         PerfboundError: one line with the key and the allowed values, as for a campaign.
@@ -114,11 +114,11 @@ class Search:
 
     @property
     def worst(self) -> Worst | None:
-        """The start with the least margin so far, and this margin; None before the first one is told."""
+        """The start with the least margin so far, and this margin; None before the first outcome."""
         return None if self._worst is None else Worst(self._values(self._worst[0]), self._worst[1])
 
     def ask(self) -> dict[str, Any]:
-        """Return the next start by parameter; starts that are not told yet are not asked for again."""
+        """Return the next start by parameter; starts that wait for an outcome are not returned again."""
         with self._lock, reproducible():
             x = self._next([each for _, each in self._open])
             start = self._values(x)

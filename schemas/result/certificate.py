@@ -273,7 +273,7 @@ class FailureCluster(Model):
 
 
 class Failures(Model):
-    """The failures that a search found which went on after the first one."""
+    """The failures of a search that continued after the first one."""
 
     clusters: tuple[FailureCluster, ...] = Field(description="in the order in which they were found")
     undecided: int = Field(description="failing tests of which it is open whether they are of a cluster")
@@ -305,7 +305,7 @@ class Search(Model):
 
 
 class Counterexample(Model):
-    """The worst rollout of the test that ended the campaign, or of all tests of a search that went on."""
+    """The worst rollout of the test that ended the campaign, or of all tests of a search that continued."""
 
     rollout: str
     test: int

@@ -25,7 +25,7 @@ PREFIX = "module "
 MODULE = "perfbound_system"
 """Name of the module of a file; its own would hide an installed one."""
 NEVER = frozenset({"perfbound", "__main__", "__mp_main__", MODULE})
-"""Top-level modules that are no code of a system, or stand there by their file."""
+"""Top-level modules that are no code of a system, or are among it by their file."""
 COMPILED = (".so", ".pyd")
 OF_PYTHON = tuple({os.path.join(sysconfig.get_path(each), "") for each in ("stdlib", "platstdlib")})
 INSTALLED = tuple(f"/{each}/" for each in PACKAGES)

@@ -9,7 +9,7 @@
 | v_a    |          | (`PRIOR` m_a + s_a)/(`PRIOR` + n_a)                                               | ()    | -    |
 
 Arm a is drawn with probability v_a/sum v. While the models lead downwards they have nearly all tests. One that finds
-nothing falls back to those that were hardly tried, and none falls to 0: a search that is stuck goes on elsewhere.
+nothing falls back to those that were hardly tried, and none falls to 0: a search that is stuck continues elsewhere.
 """
 
 from enum import Enum

@@ -12,7 +12,7 @@ some predicate at some sample. From the whole formula at the first sample down t
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -76,6 +76,8 @@ class WorstMoment:
     first: int
     last: int
     columns: frozenset[str]
+    predicates: frozenset[Comparison] = field(default=frozenset(), compare=False, repr=False)
+    """Those that attain it."""
 
 
 def robustness_signal(
@@ -129,15 +131,14 @@ def worst_moment(tree: Formula, names: Sequence[str], samples: Floats, beyond: B
     True
 
     """
-    signals, grid = Signals(names, samples), Grid(samples[:, 0], beyond)
-    grid.check(tree)
-    found = _Deciding(signals, grid)
-    if not found.follow(tree, _first_sample(len(grid))):
+    found = _deciding(tree, names, samples, beyond)
+    if found is None:
         return None
     rows = np.flatnonzero(found.samples)
     if rows[-1] - rows[0] + 1 != len(rows):
         return None
-    return WorstMoment(int(rows[0]), int(rows[-1]), frozenset[str]().union(*map(columns, found.predicates)))
+    read = frozenset[str]().union(*map(columns, found.predicates))
+    return WorstMoment(int(rows[0]), int(rows[-1]), read, frozenset(found.predicates))
 
 
 def deciding_predicates(
@@ -157,10 +158,16 @@ def deciding_predicates(
     ['>=']
 
     """
+    found = _deciding(tree, names, samples, beyond)
+    return frozenset() if found is None else frozenset(found.predicates)
+
+
+def _deciding(tree: Formula, names: Sequence[str], samples: Floats, beyond: Beyond) -> "_Deciding | None":
+    """Return what decides the robustness of a trajectory; None where that is not derived."""
     signals, grid = Signals(names, samples), Grid(samples[:, 0], beyond)
     grid.check(tree)
     found = _Deciding(signals, grid)
-    return frozenset(found.predicates) if found.follow(tree, _first_sample(len(grid))) else frozenset()
+    return found if found.follow(tree, _first_sample(len(grid))) else None
 
 
 class _Deciding:

@@ -180,7 +180,7 @@ def ending_counterexample(
     header: Header,
     command: Callable[[str], str],
 ) -> FoundCounterexample | None:
-    """Return the rollout that ended a campaign, or the worst one of a search that went on; None without one.
+    """Return the rollout that ended a campaign, or the worst one of a search that continued; None without one.
 
     `violations` have the least robustness first, `predicate` is that of the certificate, and `command` returns the
     command that simulates a rollout again.

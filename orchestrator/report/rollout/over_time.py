@@ -1,5 +1,7 @@
 """The robustness of a rollout over time, thinned, and the moment that decides it."""
 
+from collections.abc import Collection
+
 import numpy as np
 
 from ....schemas.result.facts import RolloutFact
@@ -8,7 +10,7 @@ from ....schemas.trajectory.trajectory import Trajectory
 from ....schemas.values import Beyond
 from ...mathematics.stl.over_time import deciding_predicates, outermost, robustness_signal, worst_moment
 from ...mathematics.stl.text import text
-from ...mathematics.stl.tree import Always, Eventually, Formula
+from ...mathematics.stl.tree import Always, Comparison, Eventually, Formula
 from ...mathematics.stl.tree import columns as read_columns
 from ..data.rollouts import DrawnRollout
 from .curves import quantity, thinned
@@ -39,8 +41,11 @@ def deciding_quantities(trajectory: Trajectory, tree: Formula | None, beyond: Be
     """
     if tree is None:
         return frozenset()
-    found = deciding_predicates(tree, trajectory.columns, trajectory.samples, beyond)
-    return frozenset(map(quantity, found)).union(*map(read_columns, found))
+    return _read(deciding_predicates(tree, trajectory.columns, trajectory.samples, beyond))
+
+
+def _read(predicates: Collection[Comparison]) -> frozenset[str]:
+    return frozenset(map(quantity, predicates)).union(*map(read_columns, predicates))
 
 
 def with_margin(
@@ -61,7 +66,7 @@ def with_margin(
         found = worst_moment(tree, trajectory.columns, samples, beyond)
         if found is not None:
             moment = float(samples[found.first, 0]), float(samples[found.last, 0])
-            columns = deciding_quantities(trajectory, tree, beyond)
+            columns = _read(found.predicates)
     failed_at = fact.ended if after_end == "fail" and fact.robustness is not None else None
     if failed_at is not None:
         moment, columns = (failed_at, failed_at), frozenset({ENDED.name})

@@ -122,7 +122,7 @@ def test_a_killed_orchestrator_changes_no_byte(started: Processes, folder: Path,
 def test_every_kind_of_start_occurs(started: Processes, folder: Path) -> None:
     """By the table of the search, and by what it had observed before each test: all but those of the window."""
     observed = worst(folder / "calm")
-    kinds = [kind(test, observed[: max(0, test + 1 - WINDOW)]) for test in range(TESTS)]
+    kinds = [kind(test, max(0, test + 1 - WINDOW)) for test in range(TESTS)]
     assert set(kinds) == {"drawn", "first", "corner", "middle", "by an arm"}
     assert {len(parts) for _, parts in observed} == {4}, "each side of every `and` and `or` is a part"
     tied = "GROUP BY test HAVING COUNT(DISTINCT robustness) = 1 AND COUNT(DISTINCT parts) = 2"
@@ -140,8 +140,8 @@ def worst(directory: Path) -> list[tuple[float, Sequence[float]]]:
     return [found[test] for test in sorted(found)]
 
 
-def kind(test: int, observed: Sequence[tuple[float, Sequence[float]]]) -> str:
-    """Return the kind of start of a test, given robustness and parts of those before it."""
+def kind(test: int, observed: int) -> str:
+    """Return the kind of start of a test, before which so many were observed."""
     if test % 4 == 3:
         return "drawn"
     if test == 1:

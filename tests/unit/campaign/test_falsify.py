@@ -93,6 +93,24 @@ def certificate(directory: Path) -> Certificate:
     return found
 
 
+def with_parts(directory: Path) -> list[tuple[float, list[float]]]:
+    """Return the robustness of each rollout, and that of each part."""
+    with sqlite3.connect(directory / "campaign.db") as connection:
+        rows = connection.execute("SELECT robustness, parts FROM rollouts WHERE problem = 'robustness'").fetchall()
+    return [(value, json.loads(parts)) for value, parts in rows]
+
+
+def check_that_other_parts_are_noticed(directory: Path, parts: list[float]) -> None:
+    """Check that `verify` is content, and names the part that another one takes the place of."""
+    assert verified(directory) == []
+    with editing(directory) as connection:
+        connection.execute(
+            "UPDATE rollouts SET parts = ? WHERE test = 3 AND problem = 'robustness'", (json.dumps(parts),)
+        )
+    (failed,) = (each for each in checks(directory) if each.status == "failed")
+    assert f"robustness.3.nominal.0: parts[0] is {parts[0]}" in failed.detail
+
+
 def test_the_file_says_it_in_one_line_and_a_file_without_it_keeps_its_identity() -> None:
     config = sought({"method": "sample"})
     assert config.until_counterexample
@@ -146,16 +164,11 @@ def test_the_parts_of_a_specification_are_recorded_and_verified(tmp_path: Path) 
     simulate(tmp_path / "one", config, safe, noisy=False)
     simulate(tmp_path / "other", config, safe, noisy=False, workers=3)
     assert proposals(tmp_path / "one") == proposals(tmp_path / "other")
-    with sqlite3.connect(tmp_path / "one" / "campaign.db") as connection:
-        rows = connection.execute("SELECT robustness, parts FROM rollouts WHERE problem = 'robustness'").fetchall()
+    rows = with_parts(tmp_path / "one")
     assert len(rows) == 20
     for value, parts in rows:
-        assert json.loads(parts) == pytest.approx([value, 5 - 4 * value])
-    assert verified(tmp_path / "one") == []
-    with editing(tmp_path / "one") as connection:
-        connection.execute("UPDATE rollouts SET parts = '[1.0,2.0]' WHERE test = 3 AND problem = 'robustness'")
-    (failed,) = (each for each in checks(tmp_path / "one") if each.status == "failed")
-    assert "robustness.3.nominal.0: parts[0] is 1.0" in failed.detail
+        assert parts == pytest.approx([value, 5 - 4 * value])
+    check_that_other_parts_are_noticed(tmp_path / "one", [1.0, 2.0])
 
 
 def test_of_equally_bad_rollouts_the_order_of_arrival_changes_no_start(tmp_path: Path) -> None:
@@ -189,16 +202,11 @@ def test_a_scale_is_of_the_search_alone_and_its_parts_are_recorded_and_verified(
     simulate(tmp_path / "one", config, shifted, noisy=False)
     simulate(tmp_path / "other", config, shifted, noisy=False, workers=3)
     assert proposals(tmp_path / "one") == proposals(tmp_path / "other")
-    with sqlite3.connect(tmp_path / "one" / "campaign.db") as connection:
-        rows = connection.execute("SELECT robustness, parts FROM rollouts WHERE problem = 'robustness'").fetchall()
+    rows = with_parts(tmp_path / "one")
     assert len(rows) == 16
     for value, parts in rows:
-        assert json.loads(parts) == pytest.approx([value / 50]), "one part, in shares of the scale"
-    assert verified(tmp_path / "one") == []
-    with editing(tmp_path / "one") as connection:
-        connection.execute("UPDATE rollouts SET parts = '[1.0]' WHERE test = 3 AND problem = 'robustness'")
-    (failed,) = (each for each in checks(tmp_path / "one") if each.status == "failed")
-    assert "robustness.3.nominal.0: parts[0] is 1.0" in failed.detail
+        assert parts == pytest.approx([value / 50]), "one part, in shares of the scale"
+    check_that_other_parts_are_noticed(tmp_path / "one", [1.0])
 
 
 def test_a_search_with_a_scale_observes_the_scaled_parts_and_their_whole() -> None:

@@ -169,6 +169,9 @@ def test_a_step_that_is_another_one_is_named_with_the_number_of_samples() -> Non
     other = uncovered(np.arange(8, dtype=np.float64) * 0.01, 1.0)
     assert other is not None
     assert "in steps of" not in other, "no step that anyone means"
+    almost = uncovered(np.arange(201, dtype=np.float64) * 0.00992, 2.0)
+    assert almost is not None
+    assert "after_end" in almost, "a step is another one from twice its length on"
 
 
 def test_numbers_that_differ_in_the_eighth_digit_are_printed_with_it() -> None:

@@ -5,14 +5,12 @@ from typing import Any
 
 import pytest
 from rich.console import Console
-from threadpoolctl import threadpool_limits
 
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.words.search_text import failure_parts
 from perfbound.orchestrator.certificate.words.text import print_counterexample
 from perfbound.orchestrator.mathematics.bounds.one_law.failures import beta_mixture_lower, beta_mixture_upper
 from perfbound.orchestrator.report.collect.campaign import Collector
-from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import facts as recorded_facts
 from perfbound.orchestrator.store import read
 from perfbound.schemas.file.config import CampaignConfig
@@ -29,14 +27,6 @@ RIGOROUS = {
     "noise_scale": 0.0,
     "kernel": {"length_scale": 0.5},
 }
-
-
-@pytest.fixture(autouse=True)
-def impatient(monkeypatch: pytest.MonkeyPatch) -> Any:
-    monkeypatch.setattr("os.fsync", lambda _: None)
-    monkeypatch.setattr(service, "TICK", 0.01)
-    with threadpool_limits(1):
-        yield
 
 
 def sloped(request: RolloutRequest) -> float:

@@ -1,4 +1,4 @@
-"""A search that goes on after its first failure, until it has found several kinds of failures, or to its budget."""
+"""A search that continues after its first failure, until it has found several kinds of failures, or to its budget."""
 
 from io import StringIO
 from pathlib import Path
@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 from rich.console import Console
-from threadpoolctl import threadpool_limits
 
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.words.text import print_certificate
 from perfbound.orchestrator.report.collect.campaign import Collector
-from perfbound.orchestrator.run import service
 from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.result.certificate import Certificate, Failures
 from perfbound.schemas.rollout import RolloutRequest
@@ -22,14 +20,6 @@ from tests.fakes.simulators import robustness, simulate, verified
 
 SAMPLE = {"method": "sample"}
 HOLES = (0.2, 0.3), (0.8, 0.75)
-
-
-@pytest.fixture(autouse=True)
-def impatient(monkeypatch: pytest.MonkeyPatch) -> Any:
-    monkeypatch.setattr("os.fsync", lambda _: None)
-    monkeypatch.setattr(service, "TICK", 0.01)
-    with threadpool_limits(1):
-        yield
 
 
 def in_holes(request: RolloutRequest) -> float:

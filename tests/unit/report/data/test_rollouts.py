@@ -110,6 +110,7 @@ def test_the_worst_moment_is_a_stretch_of_time_or_nothing() -> None:
     assert described("always x >= 2", [5, 1, 1, 1]).moment == (1.0, 3.0)
     assert described("always x >= 2", [5, 1, 3, 1]).moment is None
     assert described("always x >= 2", [5, 1, 3]).columns == ("x",)
+    assert set(described("always x - t >= 2", [5, 1, 8]).columns) == {"t", "x", "x - t"}
 
 
 @pytest.mark.parametrize("after_end", ["hold", "fail"])
