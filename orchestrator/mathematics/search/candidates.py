@@ -10,8 +10,11 @@ import numpy as np
 
 from ..gp.kernels import Floats
 
-WIDE, SHAPED, NEAR, SNAPPED = 256, 192, 64, 24
-"""Points in the whole box, shaped ones, and of each worst start: around it, and with parameters at an end."""
+WIDE, SHAPED, CROSSED, NEAR, SNAPPED = 256, 192, 128, 64, 24
+"""Points in the whole box, shaped ones, mixtures of two starts, and of each worst start: around it, and with parameters
+at an end."""
+WORST, PARENTS = 4, 12
+"""Starts with candidates of their own, and those that are mixed."""
 BEST, COPIES = 6, 24
 
 
@@ -52,15 +55,16 @@ def cornered(rng: np.random.Generator, n: int, inputs: Inputs) -> Floats:
 
 
 def choices_among(rng: np.random.Generator, worst: Floats, inputs: Inputs) -> Floats:
-    """Return candidates (m, p), given the worst starts (k, p)."""
-    dimension = inputs.dimension
+    """Return candidates (m, p), given the starts (k, p), the worst one first."""
+    dimension, around = inputs.dimension, worst[:WORST]
     return np.vstack(
         [
             rng.random((WIDE, dimension)),
             # Failures of control systems like the ends of ranges.
             shaped(rng, SHAPED, inputs),
-            _around(rng, np.repeat(worst, NEAR, axis=0), inputs),
-            _snapped(rng, np.repeat(worst, SNAPPED, axis=0), inputs),
+            _around(rng, np.repeat(around, NEAR, axis=0), inputs),
+            _snapped(rng, np.repeat(around, SNAPPED, axis=0), inputs),
+            _crossed(rng, worst, inputs),
         ]
     )
 
@@ -90,6 +94,13 @@ def _snapped(rng: np.random.Generator, points: Floats, inputs: Inputs) -> Floats
     share = max(0.25, 1 / dimension)
     chosen = inputs.held(rng, (rng.random(points.shape) < share).astype(np.float64), often) > 0
     return np.where(chosen, inputs.held(rng, (rng.random(points.shape) < 0.5).astype(np.float64), often), points)
+
+
+def _crossed(rng: np.random.Generator, parents: Floats, inputs: Inputs) -> Floats:
+    """Return points that have each parameter, or a while of an input, from one of two starts."""
+    one, other = (parents[rng.integers(len(parents), size=CROSSED)] for _ in range(2))
+    chosen = inputs.held(rng, (rng.random(one.shape) < 0.5).astype(np.float64), rng.random((CROSSED, 1))) > 0
+    return np.where(chosen, one, other)
 
 
 def _around(rng: np.random.Generator, points: Floats, inputs: Inputs) -> Floats:

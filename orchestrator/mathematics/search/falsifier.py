@@ -6,7 +6,7 @@
 | 0, and those before any observation      | of another such sequence                                                |
 | 1, where there are inputs over time      | a corner, at which inputs stay for long                                 |
 | 2                                        | the middle of the box                                                   |
-| while most tests have the least value    | half of a third such sequence, half with shapes, see `candidates`       |
+| while most tests have the least value    | of a third such sequence, every eighth with shapes, see `candidates`    |
 | the others                               | of an arm of `portfolio`: mostly the best of many candidates for models |
 
 Deviation: nothing here is a bound, and no claim follows from a search. Claims use the constants of the campaign, or
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..gp.kernels import Floats
-from .candidates import BEST, Inputs, Shape, choices_among, cornered, nearby, shaped
+from .candidates import BEST, PARENTS, Inputs, Shape, choices_among, cornered, nearby, shaped
 from .goal import ALONE, Goal
 from .models import LARGEST, Models, Score
 from .portfolio import Arm, Portfolio, gain
@@ -28,8 +28,6 @@ from .portfolio import Arm, Portfolio, gain
 Point = tuple[float, ...]
 Admitted = Callable[[Floats], NDArray[np.bool_]]
 """Whether each of some points (m, p) of the box may be proposed."""
-WORST = 4
-"""Starts with candidates of their own."""
 TIE = 0.05
 """Relative difference of an acquisition function that another machine may see."""
 BLOCK = 1024
@@ -38,6 +36,8 @@ ROUNDS = (0.1, 0.03, 0.01)
 """Steps around the best candidates, in length scales."""
 MIDDLE = 2
 """Number of the test in the middle of the box; later ones have arms."""
+SHAPED_EVERY = 8
+"""While nothing leads anywhere: a failure likes neither ends nor the inside of ranges, as far as is known."""
 APART = 0.01
 """Least distance of a choice from each test in flight, in the range of some parameter."""
 SHAPES = 64
@@ -148,9 +148,11 @@ class Falsifier:
         if not test or not self.observations:
             return self._sobol_point(FIRST, test)
         if self._models.flat:
+            if test % SHAPED_EVERY == 0:
+                return self._shaped(test, shaped)
             # Numbered one by one: every fourth number of such a sequence alone leaves parts of the box empty.
-            of_sequence = test % 4 in {1, 2}
-            return self._sobol_point(FLAT, test // 4 * 2 + test % 4 - 1) if of_sequence else self._shaped(test, shaped)
+            before = sum(each % SHAPED_EVERY > 0 and not self.is_random(each) for each in range(test))
+            return self._sobol_point(FLAT, before)
         if test == MIDDLE:
             return np.full(len(self._low), 0.5)
         return self._of_arm(test)
@@ -170,7 +172,7 @@ class Falsifier:
     def _by_model(self, test: int, pending: list[Floats]) -> Floats:
         score, lengths = self._score(test, pending)
         rng = np.random.default_rng([self._seed, MODEL, test])
-        worst = np.argsort(self._models.robustness, kind="stable")[:WORST]
+        worst = np.argsort(self._models.robustness, kind="stable")[:PARENTS]
         found = choices_among(rng, np.array([self._models.points[each] for each in worst]), self._inputs)
         found = _apart(self._inside(found), pending)
         for step in ROUNDS:

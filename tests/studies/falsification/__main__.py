@@ -11,7 +11,7 @@ from tests.studies.pages import PageError
 
 one_blas_thread()
 
-from tests.studies.falsification.page import cell, table, write  # noqa: E402  (numpy reads the setting once)
+from tests.studies.falsification.page import medians, write  # noqa: E402  (numpy reads the setting once)
 from tests.studies.falsification.registry import benchmarks  # noqa: E402
 from tests.studies.falsification.study import (  # noqa: E402
     BUDGET,
@@ -50,7 +50,7 @@ def main() -> int:
         sys.stderr.write(f"{run.benchmark} {run.instance} {run.search} {run.seed}: {words}, {row.cpu_ms} ms\n")
     rows = read(options.results)
     asked = set(wanted)
-    sys.stdout.write(table([row for row in rows if row.run in asked], cell))
+    sys.stdout.write(medians([row for row in rows if row.run in asked]))
     if options.write is not None:
         write(options.write, rows)
     return 0

@@ -105,8 +105,30 @@ def test_a_measurement_continues_where_it_stopped(tmp_path: Path) -> None:
 
 def test_a_run_without_a_failure_counts_as_its_budget() -> None:
     found = [Row(Run("AT1", 2, OURS, seed, 300), count, count < 300, 1.0) for seed, count in enumerate((10, 30, 300))]
-    assert page.cell(found) == "30 (20.0; 2 of 3)"
-    assert page.cell(found[2:]) == "- (-; 0 of 1)"
+    assert (page.median(found, 3), page.mean(found)) == ("30 (2/3)", "20.0")
+    assert (page.median(found[2:], 1), page.mean(found[2:])) == ("- (0/1)", "-")
+    assert (page.median(found[:1], 1), page.median(found[:1], 3)) == ("10", "10 (1/1)")
+
+
+def rows_of(name: str, **medians: int) -> list[Row]:
+    """Return a row of each search: `ours` and `peer`, with this number of simulations of 300."""
+    searches = {"ours": OURS, "peer": "CMA-ES"}
+    return [Row(Run(name, 2, searches[each], 0, 300), n, n < 300, 1.0) for each, n in medians.items()]
+
+
+def test_the_verdict_names_where_another_search_is_better() -> None:
+    rows = [
+        *rows_of("AT1", ours=10, peer=300),
+        *rows_of("AT2", ours=11, peer=10),
+        *rows_of("AT51", ours=12, peer=10),
+        *rows_of("AT52", ours=300, peer=20),
+        *rows_of("CC4", ours=300, peer=300),
+        *rows_of("CC5", ours=20),
+    ]
+    assert page.verdict(rows) == (
+        "perfbound has the least median, or an equal one, on AT1. Within 10 % of the least: AT2. "
+        "Behind on AT51 (12; CMA-ES 10), AT52 (300; CMA-ES 20). Falsified by none: CC4."
+    )
 
 
 def test_the_page_has_what_the_generator_writes_from_the_results() -> None:

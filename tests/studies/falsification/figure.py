@@ -1,0 +1,60 @@
+"""The medians as a figure: a line for each benchmark, a mark for each search."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from tests.studies.falsification.page import by_benchmark, found_in, middle, searches_of
+from tests.studies.falsification.study import OURS, Row
+
+MARKS = ("o", "x", "s", "^", "v", "D", "P", "*")
+COLOURS = {OURS: "#D55E00", "random": "#000000"}
+OTHER = "#7F93A8"
+"""Of the other searches, which the marks tell apart."""
+
+
+def draw(rows: Sequence[Row], target: Path) -> None:
+    """Write the medians of the rows, all of one budget; without a failure a search is at the right end."""
+    found, budget = by_benchmark(rows), max(row.run.budget for row in rows)
+    figure = Figure(figsize=(8.0, 0.9 + 0.27 * len(found)), dpi=110, layout="constrained")
+    ax = figure.subplots()
+    for line, of in enumerate(found.values()):
+        ax.axhline(line, color="#E6E6E6", linewidth=0.8, zorder=0)
+        for search in searches_of(rows):
+            mine = [row for row in of if row.run.search == search]
+            if mine and found_in(mine):
+                ax.plot(middle(mine), line, **_style(search, searches_of(rows)))
+    _axis(ax, [f"{each.name}, {each.dimension}" for each in found], budget)
+    marks = [Line2D([], [], label=search, **_style(search, searches_of(rows))) for search in searches_of(rows)]
+    figure.legend(handles=marks, loc="outside upper center", ncols=4, frameon=False, fontsize=8)
+    target.parent.mkdir(exist_ok=True)
+    figure.savefig(target, metadata={"Software": None})
+
+
+def _style(search: str, searches: Sequence[str]) -> dict[str, Any]:
+    ours = search == OURS
+    return {
+        "marker": MARKS[list(searches).index(search) % len(MARKS)],
+        "color": COLOURS.get(search, OTHER),
+        "markersize": 8 if ours else 6,
+        "linestyle": "",
+        "zorder": 3 if ours else 2,
+        "clip_on": False,
+    }
+
+
+def _axis(ax: Axes, names: Sequence[str], budget: int) -> None:
+    ticks = [tick for tick in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000) if tick < budget]
+    ax.set_xscale("log")
+    ax.set_xlim(0.9, budget)
+    ax.set_xticks([*ticks, budget], [*map(str, ticks), f"{budget} or more"], fontsize=8)
+    ax.minorticks_off()
+    ax.set_yticks(range(len(names)), names, fontsize=8)
+    ax.set_ylim(len(names) - 0.5, -0.5)
+    ax.tick_params(length=0)
+    ax.spines[["top", "right", "left"]].set_visible(False)
+    ax.set_xlabel("median of the simulations to the first failure", fontsize=9)
