@@ -13,7 +13,8 @@ def mixtures(signals: list[range]) -> Floats:
     starts = np.array([[0.2] * 24, [0.7] * 24])
     found = choices_among(np.random.default_rng(1), starts, Inputs(24, signals))
     assert np.all((found >= 0.0) & (found <= 1.0))
-    return found[np.all((found == 0.2) | (found == 0.7), axis=1) & (np.ptp(found, axis=1) > 0)]
+    mixed: Floats = found[np.all((found == 0.2) | (found == 0.7), axis=1) & (np.ptp(found, axis=1) > 0)]
+    return mixed
 
 
 def test_some_candidates_are_mixtures_of_two_starts() -> None:
