@@ -11,7 +11,8 @@ from tests.studies.pages import PageError
 
 one_blas_thread()
 
-from tests.studies.falsification.page import medians, write  # noqa: E402  (numpy reads the setting once)
+from tests.studies.falsification.figure import draw_beside  # noqa: E402  (numpy reads the setting once)
+from tests.studies.falsification.page import medians, write  # noqa: E402
 from tests.studies.falsification.registry import benchmarks  # noqa: E402
 from tests.studies.falsification.study import (  # noqa: E402
     BUDGET,
@@ -53,6 +54,7 @@ def main() -> int:
     sys.stdout.write(medians([row for row in rows if row.run in asked]))
     if options.write is not None:
         write(options.write, rows)
+        draw_beside(options.write, rows)
     return 0
 
 

@@ -9,16 +9,25 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from tests.studies.falsification.page import by_benchmark, found_in, middle, searches_of
-from tests.studies.falsification.study import OURS, Row
+from tests.studies.falsification.study import BUDGET, OURS, Row
 
+IMAGE = Path("images", "falsification.png")
 MARKS = ("o", "x", "s", "^", "v", "D", "P", "*")
 COLOURS = {OURS: "#D55E00", "random": "#000000"}
 OTHER = "#7F93A8"
 """Of the other searches, which the marks tell apart."""
 
 
-def draw(rows: Sequence[Row], target: Path) -> None:
-    """Write the medians of the rows, all of one budget; without a failure a search is at the right end."""
+def draw_beside(page: Path, rows: Sequence[Row]) -> None:
+    """Write the picture of a page, of instance 2."""
+    target = page.parent / IMAGE
+    target.parent.mkdir(exist_ok=True)
+    of = [row for row in rows if (row.run.instance, row.run.budget) == (2, BUDGET)]
+    figure_of(of).savefig(target, metadata={"Software": None})
+
+
+def figure_of(rows: Sequence[Row]) -> Figure:
+    """Return the medians of the rows, all of one budget; a search that never falsified has no mark."""
     found, budget = by_benchmark(rows), max(row.run.budget for row in rows)
     figure = Figure(figsize=(8.0, 0.9 + 0.27 * len(found)), dpi=110, layout="constrained")
     ax = figure.subplots()
@@ -31,8 +40,7 @@ def draw(rows: Sequence[Row], target: Path) -> None:
     _axis(ax, [f"{each.name}, {each.dimension}" for each in found], budget)
     marks = [Line2D([], [], label=search, **_style(search, searches_of(rows))) for search in searches_of(rows)]
     figure.legend(handles=marks, loc="outside upper center", ncols=4, frameon=False, fontsize=8)
-    target.parent.mkdir(exist_ok=True)
-    figure.savefig(target, metadata={"Software": None})
+    return figure
 
 
 def _style(search: str, searches: Sequence[str]) -> dict[str, Any]:
@@ -48,7 +56,7 @@ def _style(search: str, searches: Sequence[str]) -> dict[str, Any]:
 
 
 def _axis(ax: Axes, names: Sequence[str], budget: int) -> None:
-    ticks = [tick for tick in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000) if tick < budget]
+    ticks = [tick for tick in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000) if tick <= budget / 2]
     ax.set_xscale("log")
     ax.set_xlim(0.9, budget)
     ax.set_xticks([*ticks, budget], [*map(str, ticks), f"{budget} or more"], fontsize=8)

@@ -8,7 +8,7 @@ import pytest
 
 from perfbound.orchestrator.mathematics.stl.horizon import check_horizon
 from perfbound.orchestrator.mathematics.stl.robustness import evaluated_each
-from tests.studies.falsification import page, study
+from tests.studies.falsification import figure, page, study
 from tests.studies.falsification.benchmark import Benchmark, Floats
 from tests.studies.falsification.models import automatic_transmission, chasing_cars, inputs
 from tests.studies.falsification.registry import benchmark, benchmarks
@@ -135,6 +135,19 @@ def test_the_page_has_what_the_generator_writes_from_the_results() -> None:
     rows = study.read(RESULTS)
     assert page.section(rows) in PAGE.read_text(encoding="utf-8")
     assert study.text(rows) == RESULTS.read_text(encoding="utf-8")
+
+
+def test_the_figure_has_a_mark_for_each_median() -> None:
+    rows = [*rows_of("AT1", ours=10, peer=30), *rows_of("AT2", ours=5, peer=300)]
+    (ax,) = figure.figure_of(rows).axes
+    marks = [line.get_xydata() for line in ax.lines if line.get_marker() != "None"]
+    assert sorted(np.vstack([np.asarray(each) for each in marks]).tolist()) == [[5, 1], [10, 0], [30, 0]]
+    assert [label.get_text() for label in ax.get_yticklabels()] == ["AT1, 8", "AT2, 4"]
+
+
+def test_the_figure_is_written_beside_the_page(tmp_path: Path) -> None:
+    figure.draw_beside(tmp_path / "page.md", rows_of("AT1", ours=10, peer=30))
+    assert (tmp_path / figure.IMAGE).read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_page_without_marks_is_named(tmp_path: Path) -> None:
