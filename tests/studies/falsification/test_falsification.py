@@ -122,11 +122,12 @@ def test_the_verdict_names_where_another_search_is_better() -> None:
         *rows_of("AT2", ours=11, peer=10),
         *rows_of("AT51", ours=12, peer=10),
         *rows_of("AT52", ours=300, peer=20),
+        *rows_of("CC1", ours=10, peer=10),
         *rows_of("CC4", ours=300, peer=300),
         *rows_of("CC5", ours=20),
     ]
     assert page.verdict(rows) == (
-        "perfbound has the least median, or an equal one, on AT1. Within 10 % of the least: AT2. "
+        "perfbound has the least median, or an equal one, on AT1, CC1. Within 10 % of the least: AT2. "
         "Behind on AT51 (12; CMA-ES 10), AT52 (300; CMA-ES 20). Falsified by none: CC4."
     )
 

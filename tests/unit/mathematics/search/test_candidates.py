@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 
 from perfbound.orchestrator.mathematics.gp.kernels import Floats
-from perfbound.orchestrator.mathematics.search.candidates import Inputs, choices_among
+from perfbound.orchestrator.mathematics.search.candidates import WORST, Inputs, choices_among
 
 
 def mixtures(signals: list[range]) -> Floats:
@@ -32,3 +32,9 @@ def test_of_one_start_there_are_candidates_too() -> None:
     found = choices_among(np.random.default_rng(1), np.full((1, 3), 0.5), Inputs(3))
     assert found.shape[1] == 3
     assert len(np.unique(found, axis=0)) > 400
+
+
+def test_the_worst_starts_alone_have_candidates_around_them() -> None:
+    starts = np.linspace(0.1, 0.9, 12)[:, None] * np.ones(5)
+    found = [len(choices_among(np.random.default_rng(1), starts[:count], Inputs(5))) for count in (1, WORST, 12)]
+    assert found[0] < found[1] == found[2]

@@ -8,7 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from perfbound.orchestrator.mathematics.search.candidates import Inputs
+from perfbound.orchestrator.mathematics.gp.kernels import Floats
+from perfbound.orchestrator.mathematics.search import candidates, falsifier
+from perfbound.orchestrator.mathematics.search.candidates import PARENTS, Inputs
 from perfbound.orchestrator.mathematics.search.falsifier import ARM, Falsifier, Point
 from perfbound.orchestrator.mathematics.search.goal import ALONE, Every, Part
 from perfbound.orchestrator.mathematics.search.models import Models, _deviations, _improvement
@@ -132,6 +134,25 @@ def test_the_model_chooses_admitted_points_alone() -> None:
         point = search.propose()
         assert point[0] < 0.0 or search.is_random(test) or test in {0, 2}
         search.observe(point, bowl(point))
+
+
+def test_candidates_come_from_the_worst_starts_in_their_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[tuple[float, Point]] = []
+    checked: list[int] = []
+
+    def watched(rng: np.random.Generator, worst: Floats, inputs: Inputs) -> Floats:
+        unit = [(np.array(point) - LOW) / (np.array(HIGH) - LOW) for _, point in sorted(told)[:PARENTS]]
+        np.testing.assert_allclose(worst, unit)
+        checked.append(len(worst))
+        return candidates.choices_among(rng, worst, inputs)
+
+    monkeypatch.setattr(falsifier, "choices_among", watched)
+    search = Falsifier(LOW, HIGH, seed=1)
+    for _ in range(24):
+        point = search.propose()
+        told.append((bowl(point), point))
+        search.observe(point, bowl(point))
+    assert max(checked) == PARENTS
 
 
 def test_while_all_values_are_equal_starts_are_spread_over_the_box() -> None:
