@@ -103,7 +103,9 @@ def verdict(rows: Sequence[Row]) -> str:
 def section(rows: Sequence[Row]) -> str:
     """Return the generated part of the page, with its marks."""
     parts = []
-    for instance, budget in sorted({(row.run.instance, row.run.budget) for row in rows}, reverse=True):
+    for instance, budget in sorted(
+        {(row.run.instance, row.run.budget) for row in rows}, key=lambda of: (-of[0], of[1])
+    ):
         of = [row for row in rows if (row.run.instance, row.run.budget) == (instance, budget)]
         seeds = sorted({row.run.seed for row in of})
         parts.append(f"## Instance {instance}, {budget} simulations, seeds {seeds[0]} to {seeds[-1]}\n")
