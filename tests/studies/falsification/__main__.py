@@ -1,7 +1,6 @@
 """`python -m tests.studies.falsification [BENCHMARK ...] --write docs/falsification.md`: run what is missing."""
 
 import argparse
-import dataclasses
 import sys
 from pathlib import Path
 
@@ -41,10 +40,8 @@ def main() -> int:
     options = parser.parse_args()
     if unknown := set(options.benchmarks) - set(names):
         parser.error(f"no such benchmark: {', '.join(sorted(unknown))}")
-    wanted = [
-        dataclasses.replace(run, budget=options.budget)
-        for run in runs(options.benchmarks, options.instance, options.search, range(*options.seeds))
-    ]
+    seeds = range(*options.seeds)
+    wanted = runs(options.benchmarks, options.instance, options.search, seeds, options.budget)
     for row in measure(wanted, options.results, options.processes):
         run = row.run
         words = f"{row.simulations}" if row.found else f"not in {row.simulations}"

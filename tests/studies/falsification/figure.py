@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from tests.studies.falsification.page import by_benchmark, found_in, middle, searches_of
+from tests.studies.falsification.page import by_benchmark, by_search, found_in, middle
 from tests.studies.falsification.study import BUDGET, OURS, Row
 
 IMAGE = Path("images", "falsification.png")
@@ -28,17 +28,16 @@ def draw_beside(page: Path, rows: Sequence[Row]) -> None:
 
 def figure_of(rows: Sequence[Row]) -> Figure:
     """Return the medians of the rows, all of one budget; a search that never falsified has no mark."""
-    found, budget = by_benchmark(rows), max(row.run.budget for row in rows)
+    found, searches, budget = by_benchmark(rows), list(by_search(rows)), max(row.run.budget for row in rows)
     figure = Figure(figsize=(8.0, 0.9 + 0.27 * len(found)), dpi=110, layout="constrained")
     ax = figure.subplots()
     for line, of in enumerate(found.values()):
         ax.axhline(line, color="#E6E6E6", linewidth=0.8, zorder=0)
-        for search in searches_of(rows):
-            mine = [row for row in of if row.run.search == search]
-            if mine and found_in(mine):
-                ax.plot(middle(mine), line, **_style(search, searches_of(rows)))
+        for search, mine in by_search(of).items():
+            if found_in(mine):
+                ax.plot(middle(mine), line, **_style(search, searches))
     _axis(ax, [f"{each.name}, {each.dimension}" for each in found], budget)
-    marks = [Line2D([], [], label=search, **_style(search, searches_of(rows))) for search in searches_of(rows)]
+    marks = [Line2D([], [], label=search, **_style(search, searches)) for search in searches]
     figure.legend(handles=marks, loc="outside upper center", ncols=4, frameon=False, fontsize=8)
     return figure
 

@@ -44,9 +44,10 @@ def overhead(rows: Sequence[Row]) -> str:
     return f"{statistics.median(row.cpu_ms for row in rows):.1f}"
 
 
-def searches_of(rows: Sequence[Row]) -> list[str]:
-    """Return the searches that have rows, in the order of the page."""
-    return [search for search in SEARCHES if any(row.run.search == search for row in rows)]
+def by_search(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """Return the rows of each search that has some, in the order of the page."""
+    each = {search: [row for row in rows if row.run.search == search] for search in SEARCHES}
+    return {search: of for search, of in each.items() if of}
 
 
 def by_benchmark(rows: Sequence[Row]) -> dict[Benchmark, list[Row]]:
@@ -60,10 +61,11 @@ def by_benchmark(rows: Sequence[Row]) -> dict[Benchmark, list[Row]]:
 
 def table(rows: Sequence[Row], words: Callable[[Sequence[Row]], str]) -> str:
     """Return a table: a line for each benchmark of the rows, a column for each search."""
-    searches, lines = searches_of(rows), []
+    searches, lines = list(by_search(rows)), []
     for system, of in by_benchmark(rows).items():
-        by_search = ([row for row in of if row.run.search == search] for search in searches)
-        lines.append([system.name, str(system.dimension), *(words(found) if found else "" for found in by_search)])
+        found = by_search(of)
+        cells = (words(found[search]) if search in found else "" for search in searches)
+        lines.append([system.name, str(system.dimension), *cells])
     return markdown(["benchmark", "p", *searches], lines)
 
 
@@ -77,7 +79,7 @@ def verdict(rows: Sequence[Row]) -> str:
     """Return where our median is least, and where another search has a smaller one: a sentence for each."""
     first, near, behind, nobody = [], [], [], []
     for system, of in by_benchmark(rows).items():
-        of_search = {search: [row for row in of if row.run.search == search] for search in searches_of(of)}
+        of_search = by_search(of)
         ours = of_search.pop(OURS, [])
         others = {search: middle(found) for search, found in of_search.items() if found_in(found)}
         if not ours or not of_search:

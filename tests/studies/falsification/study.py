@@ -85,11 +85,13 @@ def objective_of(system: Benchmark) -> Objective:
     return margins
 
 
-def runs(names: Sequence[str], instances: Sequence[int], searches: Sequence[str], seeds: Iterable[int]) -> list[Run]:
+def runs(
+    names: Sequence[str], instances: Sequence[int], searches: Sequence[str], seeds: Iterable[int], budget: int
+) -> list[Run]:
     """Return the runs of these benchmarks, all if `names` is empty; of a seed come all before the next one."""
     chosen = [each for each in benchmarks() if each.instance in instances and (not names or each.name in names)]
     return [
-        Run(each.name, each.instance, search, seed, BUDGET) for seed in seeds for each in chosen for search in searches
+        Run(each.name, each.instance, search, seed, budget) for seed in seeds for each in chosen for search in searches
     ]
 
 

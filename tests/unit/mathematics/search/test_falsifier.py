@@ -137,11 +137,11 @@ def test_the_model_chooses_admitted_points_alone() -> None:
 
 
 def test_candidates_come_from_the_worst_starts_in_their_order(monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[tuple[float, Point]] = []
+    observed: list[tuple[float, Point]] = []
     checked: list[int] = []
 
     def watched(rng: np.random.Generator, worst: Floats, inputs: Inputs) -> Floats:
-        unit = [(np.array(point) - LOW) / (np.array(HIGH) - LOW) for _, point in sorted(told)[:PARENTS]]
+        unit = [(np.array(point) - LOW) / (np.array(HIGH) - LOW) for _, point in sorted(observed)[:PARENTS]]
         np.testing.assert_allclose(worst, unit)
         checked.append(len(worst))
         return candidates.choices_among(rng, worst, inputs)
@@ -150,7 +150,7 @@ def test_candidates_come_from_the_worst_starts_in_their_order(monkeypatch: pytes
     search = Falsifier(LOW, HIGH, seed=1)
     for _ in range(24):
         point = search.propose()
-        told.append((bowl(point), point))
+        observed.append((bowl(point), point))
         search.observe(point, bowl(point))
     assert max(checked) == PARENTS
 

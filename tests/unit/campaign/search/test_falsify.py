@@ -2,7 +2,7 @@
 
 import json
 import sqlite3
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import scipy.linalg  # noqa: F401  (before the limit of threads, which holds for what is loaded)
 from pydantic import ValidationError
-from threadpoolctl import threadpool_limits
 
 from perfbound.orchestrator.campaign.checks import check
 from perfbound.orchestrator.campaign.methods import methods
@@ -24,7 +23,6 @@ from perfbound.orchestrator.mathematics.bounds.one_law.failures import beta_mixt
 from perfbound.orchestrator.mathematics.search import Falsifier
 from perfbound.orchestrator.mathematics.search.goal import ALONE, Every, Part
 from perfbound.orchestrator.report.collect.campaign import Collector
-from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import facts as recorded_facts
 from perfbound.orchestrator.store import read
 from perfbound.schemas.errors import CampaignError
@@ -47,15 +45,6 @@ RIGOROUS = {
 }
 NOISY = RIGOROUS | {"noise_scale": "derived"}
 SCENARIOS = {"scenarios": [[x / 10, y / 10] for x in range(11) for y in range(11)]}
-
-
-@pytest.fixture(autouse=True)
-def impatient(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.setattr("os.fsync", lambda _: None)
-    monkeypatch.setattr(service, "TICK", 0.01)
-    # As in a campaign: more threads only wait for one another at this size.
-    with threadpool_limits(1):
-        yield
 
 
 def hidden(request: RolloutRequest) -> float:
@@ -98,6 +87,17 @@ def with_parts(directory: Path) -> list[tuple[float, list[float]]]:
     with sqlite3.connect(directory / "campaign.db") as connection:
         rows = connection.execute("SELECT robustness, parts FROM rollouts WHERE problem = 'robustness'").fetchall()
     return [(value, json.loads(parts)) for value, parts in rows]
+
+
+def parts_for_any_workers(
+    directory: Path, config: CampaignConfig, objective: Callable[[RolloutRequest], float]
+) -> list[tuple[float, list[float]]]:
+    """Return the rollouts `with_parts` of a resumed campaign, after checking that three workers make the same one."""
+    simulate(directory / "one", config, objective, noisy=False, stop=lambda request: request.test > 9)
+    simulate(directory / "one", config, objective, noisy=False)
+    simulate(directory / "other", config, objective, noisy=False, workers=3)
+    assert proposals(directory / "one") == proposals(directory / "other")
+    return with_parts(directory / "one")
 
 
 def check_that_other_parts_are_noticed(directory: Path, parts: list[float]) -> None:
@@ -160,11 +160,7 @@ def test_a_search_finds_a_hidden_failure_with_every_method_and_the_certificate_v
 
 def test_the_parts_of_a_specification_are_recorded_and_verified(tmp_path: Path) -> None:
     config = sought({"method": "sample"}, specification="value >= 0 and value <= 5 - 3 * value", max_tests=20)
-    simulate(tmp_path / "one", config, safe, noisy=False, stop=lambda request: request.test > 9)
-    simulate(tmp_path / "one", config, safe, noisy=False)
-    simulate(tmp_path / "other", config, safe, noisy=False, workers=3)
-    assert proposals(tmp_path / "one") == proposals(tmp_path / "other")
-    rows = with_parts(tmp_path / "one")
+    rows = parts_for_any_workers(tmp_path, config, safe)
     assert len(rows) == 20
     for value, parts in rows:
         assert parts == pytest.approx([value, 5 - 4 * value])
@@ -199,10 +195,7 @@ SCALED = {
 
 def test_a_scale_is_of_the_search_alone_and_its_parts_are_recorded_and_verified(tmp_path: Path) -> None:
     config = sought({"method": "sample"}, clip=(-1000.0, 1000.0), **SCALED)
-    simulate(tmp_path / "one", config, shifted, noisy=False)
-    simulate(tmp_path / "other", config, shifted, noisy=False, workers=3)
-    assert proposals(tmp_path / "one") == proposals(tmp_path / "other")
-    rows = with_parts(tmp_path / "one")
+    rows = parts_for_any_workers(tmp_path, config, shifted)
     assert len(rows) == 16
     for value, parts in rows:
         assert parts == pytest.approx([value / 50]), "one part, in shares of the scale"
