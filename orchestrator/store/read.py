@@ -124,6 +124,18 @@ def attempts(directory: Path) -> dict[WorkId, int]:
         return {parse_work(rollout): number for rollout, number in connection.execute(query)}
 
 
+def last_outcome(directory: Path) -> float | None:
+    """Return the Unix time at which the last attempt of the campaign ended; None without any.
+
+    Raises:
+        JournalError: there is no campaign in `directory`, or it cannot be read.
+
+    """
+    with reading(directory) as connection:
+        found = connection.execute(sa.select(sa.func.max(tables.outcomes.c.ended))).scalar()
+    return None if found is None else float(found)
+
+
 @dataclass(frozen=True, slots=True)
 class EndedAttempt:
     """An attempt that failed; without a name of its host if its start was lost in a crash."""

@@ -1,0 +1,141 @@
+"""The policy file of a gate: what a release asks of a certificate."""
+
+import json
+import re
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from packaging.specifiers import InvalidSpecifier, SpecifierSet
+from pydantic import Field, StringConstraints, ValidationError, field_validator
+
+from ....schemas.base import Model
+from ....schemas.errors import PerfboundError, meant, shortened
+from ....schemas.outside import read_outside
+from ....schemas.result.certificate import Status
+
+MAX_POLICY = 2**20
+"""Bytes."""
+OTHERS = "*"
+"""The key under `[assumptions]` for those without a key of their own."""
+UNITS = {"h": 3600.0, "d": 86_400.0, "w": 604_800.0}
+"""Seconds of the units of `max_age`."""
+AGE = re.compile(r"([0-9]{1,6})\s*([hdw])")
+
+
+class Policy(Model):
+    """The rules of a gate; a key that is left out asks nothing, but for the first two."""
+
+    verdict: Literal["SHOWN", "not VIOLATED", "any"] = Field(
+        default="SHOWN", description="that the campaign may have; `any` asks nothing"
+    )
+    verified: bool = Field(
+        default=True,
+        description="whether `perfbound verify` must pass; without it, whoever can write the run directory decides",
+    )
+    resimulated: int = Field(
+        default=0, ge=0, le=1_000_000, description="rollouts or batches that are simulated again, and must be the same"
+    )
+    margin: float | None = Field(default=None, description="least bound of a first claim that is a bound from below")
+    at_most: float | None = Field(
+        default=None, description="largest bound of a first claim that is one from above, as a failure probability"
+    )
+    probability: float | None = Field(default=None, gt=0, lt=1, description="least probability of the first claim")
+    constants: Literal["doubled", "none"] | None = Field(
+        default=None,
+        description="`doubled`: SHOWN also with twice the norm bound or half the length scales; `none`: the first "
+        "claim rests on no constant of a kernel",
+    )
+    assumptions: dict[str, Annotated[tuple[Status, ...], Field(strict=False, min_length=1)]] = Field(
+        default_factory=dict,
+        description='by id, the statuses that an assumption of the first claim may have; "*" is for all others',
+    )
+    spot_check: bool = Field(default=False, description="whether fresh starts must have tested the bounds")
+    recheck: bool = Field(default=False, description="whether recorded rollouts must have been simulated again")
+    requirements: tuple[str, ...] = Field(
+        default=(),
+        strict=False,
+        max_length=1000,
+        description="ids or names of requirements, each of which one of the campaigns must show",
+    )
+    signed_by: tuple[Annotated[str, StringConstraints(min_length=1)], ...] = Field(
+        default=(), strict=False, max_length=100, description="public keys, each of which must have signed; FILE.pub"
+    )
+    max_age: float | None = Field(
+        default=None, gt=0, description='since the last rollout: "36h", "30d" or "2w"', examples=["30d"]
+    )
+    software: dict[str, str] = Field(
+        default_factory=dict, description='versions of the campaign, { perfbound = ">=0.2,<0.4", numpy = "==2.*" }'
+    )
+
+    @property
+    def verifies(self) -> bool:
+        """Whether certificates are verified."""
+        return self.verified or self.resimulated > 0
+
+    @field_validator("max_age", mode="before")
+    @classmethod
+    def _seconds(cls, given: Any) -> Any:
+        if given is None:
+            return given
+        found = AGE.fullmatch(given.strip()) if isinstance(given, str) else None
+        if found is None:
+            raise ValueError('allowed is a number with a unit: "36h", "30d" or "2w"')
+        return int(found[1]) * UNITS[found[2]]
+
+    @field_validator("software")
+    @classmethod
+    def _specifiers(cls, given: dict[str, str]) -> dict[str, str]:
+        for name, versions in given.items():
+            try:
+                SpecifierSet(versions)
+            except InvalidSpecifier:
+                raise ValueError(f'{name}: {versions!r} is no version specifier, as ">=0.2,<0.4"') from None
+        return given
+
+
+ALLOWED = {name: field.description for name, field in Policy.model_fields.items()}
+"""The keys of a policy, and what each asks."""
+TEXT_OR_LIST = ("signed_by", "requirements")
+
+
+def load_policy(path: Path) -> Policy:
+    """Read a policy file; the paths of its keys become relative to it.
+
+    Raises:
+        PerfboundError: it cannot be read, or is no policy; a line for the first fault.
+
+    """
+    try:
+        table = tomllib.loads(read_outside(path, MAX_POLICY).decode("utf-8-sig"))
+        found = Policy.model_validate_json(json.dumps(_as_lists(table)))
+    except OSError as error:
+        raise PerfboundError(f"{path}: {error.strerror}; give a policy file with --policy") from None
+    except ValidationError as error:
+        raise PerfboundError(f"{path}: {_fault(error)}") from None
+    except (ValueError, TypeError, RecursionError) as error:
+        reason = shortened(str(error).partition("\n")[0], 200)
+        raise PerfboundError(f"{path}: not TOML: {reason}; fix this line of the policy") from None
+    keys = tuple(str(path.parent / each) for each in found.signed_by)
+    return found.model_copy(update={"signed_by": keys})
+
+
+def _as_lists(table: dict[str, Any]) -> dict[str, Any]:
+    """Return the table with a list where a single text stands for one."""
+    found = {key: _as_list(each) if key in TEXT_OR_LIST else each for key, each in table.items()}
+    if isinstance(statuses := table.get("assumptions"), dict):
+        found["assumptions"] = {name: _as_list(each) for name, each in statuses.items()}
+    return found
+
+
+def _as_list(given: Any) -> Any:
+    return [given] if isinstance(given, str) else given
+
+
+def _fault(error: ValidationError) -> str:
+    fault = error.errors(include_url=False)[0]
+    key = ".".join(map(str, fault["loc"]))
+    if fault["type"] == "extra_forbidden":
+        return f"{key}: there is no such key; {meant(key, ALLOWED)}allowed are {', '.join(ALLOWED)}"
+    reason = str(fault["ctx"]["error"]) if fault["type"] == "value_error" else str(fault["msg"])
+    return f"{key}: {shortened(repr(fault['input']), 80)} is not allowed; {ALLOWED[str(fault['loc'][0])]} ({reason})"
