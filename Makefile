@@ -127,6 +127,7 @@ studies: $(READY) ## The long forms of the statistical tests (hours)
 REST_schemas := run/test_bad_input.py systems/test_input_signals.py report/test_mcap_readers.py
 REST_orchestrator/cli := run/test_pipes.py run/test_ends.py prepare/test_first_steps.py
 REST_orchestrator/prepare := prepare
+REST_orchestrator/release := certificate/test_gate.py
 REST_orchestrator/report := report
 REST_orchestrator/run := run/test_resume.py run/test_stop.py run/test_left_behind.py run/test_robustness.py
 REST_orchestrator/hosts := fleet/test_slurm.py fleet/test_router.py

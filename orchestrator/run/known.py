@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ...schemas.file.parts import alpha_of
-from ...schemas.result.certificate import Certificate
+from ...schemas.result.certificate import Certificate, Predicate
 from ...schemas.result.facts import Header
 from ...schemas.result.known import CampaignState, CampaignVerdict, KnownAttempts, KnownCampaign, KnownProblem, SoFar
 from ..certificate import files
@@ -17,7 +17,7 @@ from ..forecast.remaining import budget
 from ..store import lock
 from ..store.export_tables import robustness_unit
 from ..store.progress import CampaignProgress, read_progress
-from ..store.read import system_reference
+from ..store.read import last_outcome, stored_header, system_reference
 from ..store.robustness import read_values, read_violations
 from ..store.so_far import read_so_far
 from .continuation import continue_command
@@ -103,6 +103,30 @@ def known(directory: Path) -> Known:
     progress, certificate = read_progress(directory), files.read(directory)
     so_far = None if certificate is not None else so_far_of(directory, progress.header.run)
     return Known(directory, progress, certificate, so_far, lock.is_held(directory), time.time())
+
+
+@dataclass(frozen=True, slots=True)
+class Finished:
+    """A finished campaign as a decision needs it."""
+
+    header: Header
+    predicate: Predicate
+    verdict: CampaignVerdict
+    age: float | None
+    """Seconds since the last attempt at a rollout has ended; None where none was made."""
+
+
+def finished(directory: Path, certificate: Certificate) -> Finished:
+    """Read what belongs to the certificate of a finished campaign.
+
+    Raises:
+        JournalError: its database cannot be read.
+        OSError: the disk is full or fails.
+
+    """
+    header, ended = stored_header(directory), last_outcome(directory)
+    verdict = verdict_of(directory, header, certificate, repeatable=False)
+    return Finished(header, certificate.predicate, verdict, None if ended is None else time.time() - ended)
 
 
 def state_of(certificate: Certificate | None, *, running: bool) -> CampaignState:

@@ -10,6 +10,7 @@ ROOT = Path(__file__).parents[2]
 FOLDERS = ("orchestrator", "workers", "schemas", "perfbound/library")
 FLOORS = (
     ("cli",),
+    ("release",),
     ("prepare",),
     ("report",),
     ("run", "hosts"),

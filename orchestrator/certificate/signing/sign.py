@@ -81,6 +81,25 @@ def signed_payload(envelope: bytes, public_key: Ed25519PublicKey) -> bytes:
     return payload
 
 
+def signature_fault(directory: Path, public_key: Ed25519PublicKey) -> str:
+    """Return why the certificate in `directory` does not count as signed by this key; nothing where it does.
+
+    Raises:
+        EvidenceError: the certificate or its envelope cannot be read.
+
+    """
+    envelope, name = directory / files.ENVELOPE, files.CERTIFICATE
+    if not envelope.exists():
+        return "it is not signed"
+    try:
+        payload = signed_payload(contents(envelope, MAX_ENVELOPE), public_key)
+    except SignatureError as error:
+        return str(error)
+    # Readers open the certificate, not the envelope: it must be the signed one.
+    same = contents(directory / name, files.MAX_CERTIFICATE) == payload
+    return "" if same else f"{name} is not the signed certificate"
+
+
 def sign_certificate(directory: Path, key: Ed25519PrivateKey) -> Path:
     """Sign the certificate in `directory`, and the record of its attempts; return the path of the envelope.
 

@@ -134,7 +134,7 @@ def _as_list(given: Any) -> Any:
 
 def _fault(error: ValidationError) -> str:
     fault = error.errors(include_url=False)[0]
-    key = ".".join(map(str, fault["loc"]))
+    key = ".".join(each for each in fault["loc"] if isinstance(each, str))
     if fault["type"] == "extra_forbidden":
         return f"{key}: there is no such key; {meant(key, ALLOWED)}allowed are {', '.join(ALLOWED)}"
     reason = str(fault["ctx"]["error"]) if fault["type"] == "value_error" else str(fault["msg"])

@@ -1,5 +1,6 @@
 """The rules of a policy, each a function of the policy and of one campaign; a rule that is not asked for is None."""
 
+import shlex
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -10,8 +11,9 @@ from ....schemas.amounts import counted
 from ....schemas.result.certificate import Assumption, CertificateClaim
 from ...certificate.words.bound_text import in_unit, outward
 from ...certificate.words.format import duration
+from ...run.known import Finished
 from .policy import OTHERS, Policy
-from .subject import Campaign, Subject
+from .subject import Subject
 
 KERNEL = ("rkhs_norm", "kernel")
 """First parts of the ids of the assumptions that constants of a kernel are right."""
@@ -80,11 +82,12 @@ def _verified(policy: Policy, subject: Subject) -> Finding:
 
 def _signed(key: str, subject: Subject) -> Finding:
     fault = subject.unsigned.get(key, "")
-    remedy = f"`perfbound sign {subject.name} --key KEY` with the private key of {key}"
+    command = shlex.join(["perfbound", "sign", subject.name, "--key", "KEY"])
+    remedy = f"`{command}` with the private key of {key}"
     return _finding("signed_by", f"a signature by {key}", fault or "signed", remedy, passed=not fault)
 
 
-def _verdict(policy: Policy, campaign: Campaign) -> Iterator[Finding]:
+def _verdict(policy: Policy, campaign: Finished) -> Iterator[Finding]:
     if policy.verdict == "any":
         return
     word, reasons = campaign.verdict.verdict, campaign.verdict.reasons
@@ -94,7 +97,7 @@ def _verdict(policy: Policy, campaign: Campaign) -> Iterator[Finding]:
     yield _finding("verdict", policy.verdict, found, remedy, passed=passed)
 
 
-def _bound(policy: Policy, campaign: Campaign) -> Iterator[Finding]:
+def _bound(policy: Policy, campaign: Finished) -> Iterator[Finding]:
     claim, unit = campaign.predicate.claims[0], campaign.verdict.bound_unit
     for rule, sense, limit in (("margin", ">=", policy.margin), ("at_most", "<=", policy.at_most)):
         if limit is None:
@@ -113,7 +116,7 @@ def _bound(policy: Policy, campaign: Campaign) -> Iterator[Finding]:
         )
 
 
-def _probability(policy: Policy, campaign: Campaign) -> Iterator[Finding]:
+def _probability(policy: Policy, campaign: Finished) -> Iterator[Finding]:
     if policy.probability is not None:
         found = campaign.predicate.claims[0].probability
         remedy = "run the campaign with a smaller delta, or with required_probability in its file"
@@ -126,7 +129,7 @@ def _probability(policy: Policy, campaign: Campaign) -> Iterator[Finding]:
         )
 
 
-def _constants(policy: Policy, campaign: Campaign) -> Iterator[Finding]:
+def _constants(policy: Policy, campaign: Finished) -> Iterator[Finding]:
     kernels = [each for each in campaign.predicate.claims[0].assumptions if _first_part(each) in KERNEL]
     rests = campaign.verdict.rests_on
     if policy.constants == "doubled":
@@ -141,7 +144,7 @@ def _constants(policy: Policy, campaign: Campaign) -> Iterator[Finding]:
         yield _finding("constants", "no constant of a kernel", found, remedy, passed=not kernels)
 
 
-def _assumptions(policy: Policy, campaign: Campaign) -> Iterator[Finding]:
+def _assumptions(policy: Policy, campaign: Finished) -> Iterator[Finding]:
     if not policy.assumptions:
         return
     wanted = set(campaign.predicate.claims[0].assumptions)
@@ -170,7 +173,7 @@ def _for_status(each: Assumption) -> str:
     return "no data of the campaign tested it: judge it, and allow its status in the policy"
 
 
-def _closing(policy: Policy, campaign: Campaign) -> Iterator[Finding]:
+def _closing(policy: Policy, campaign: Finished) -> Iterator[Finding]:
     spot, again = campaign.predicate.spot_check, campaign.predicate.recheck
     if policy.spot_check:
         refuted = [each.key for each in spot.problems if each.status == "refuted"] if spot else []
@@ -187,7 +190,7 @@ def _closing(policy: Policy, campaign: Campaign) -> Iterator[Finding]:
         yield _finding("recheck", "recorded rollouts simulated again, and the same", found, remedy, passed=good)
 
 
-def _age(policy: Policy, campaign: Campaign) -> Iterator[Finding]:
+def _age(policy: Policy, campaign: Finished) -> Iterator[Finding]:
     if policy.max_age is not None:
         age = campaign.age
         found = "no rollout has a time" if age is None else f"{_days(age)} since the last rollout"
@@ -201,7 +204,7 @@ def _days(seconds: float) -> str:
     return f"{seconds / DAY:.1f} days" if abs(seconds) >= 2 * DAY else duration(seconds)
 
 
-def _software(policy: Policy, campaign: Campaign) -> Iterator[Finding]:
+def _software(policy: Policy, campaign: Finished) -> Iterator[Finding]:
     for name, versions in policy.software.items():
         found = campaign.predicate.software.get(name)
         remedy = f"run the campaign with {name} {versions}"
@@ -215,7 +218,7 @@ def _fits(found: str | None, versions: str) -> bool:
         return False
 
 
-RULES: tuple[Callable[[Policy, Campaign], Iterable[Finding]], ...] = (
+RULES: tuple[Callable[[Policy, Finished], Iterable[Finding]], ...] = (
     _verdict,
     _bound,
     _probability,
@@ -228,7 +231,7 @@ RULES: tuple[Callable[[Policy, Campaign], Iterable[Finding]], ...] = (
 """In the order of the output."""
 
 
-def _shown(policy: Policy, wanted: str, campaigns: Iterable[Campaign]) -> Finding:
+def _shown(policy: Policy, wanted: str, campaigns: Iterable[Finished]) -> Finding:
     """Return whether one of some campaigns shows the requirement with this id or name."""
     reasons = [reason for each in campaigns for reason in _reasons(policy, wanted, each)]
     good = [each for each, passed in reasons if passed]
@@ -237,7 +240,7 @@ def _shown(policy: Policy, wanted: str, campaigns: Iterable[Campaign]) -> Findin
     return _finding("requirements", f"{wanted} is shown", found, remedy, passed=bool(good))
 
 
-def _reasons(policy: Policy, wanted: str, campaign: Campaign) -> Iterator[tuple[str, bool]]:
+def _reasons(policy: Policy, wanted: str, campaign: Finished) -> Iterator[tuple[str, bool]]:
     config = campaign.header.config
     name = next((each.name for each in config.specifications or () if wanted in (each.id, each.name)), None)
     if name is None:
@@ -247,13 +250,14 @@ def _reasons(policy: Policy, wanted: str, campaign: Campaign) -> Iterator[tuple[
     for claim in claims:
         limit = _limit(policy, campaign, claim)
         text = f"{config.name}: {claim.quantity} {claim.sense} {outward(claim.bound, claim.sense)}"
+        text += ", and neither `at_most` nor the campaign file says what is acceptable" if limit is None else ""
         reached = limit is not None and (claim.bound >= limit if claim.sense == ">=" else claim.bound <= limit)
         yield text, reached and not claim.refuted and not claim.vacuous
     if not claims:
         yield f"{config.name}: no claim is about it", False
 
 
-def _limit(policy: Policy, campaign: Campaign, claim: CertificateClaim) -> float | None:
+def _limit(policy: Policy, campaign: Finished, claim: CertificateClaim) -> float | None:
     if claim.sense == ">=":
         return campaign.header.config.required_margin if policy.margin is None else policy.margin
     return campaign.header.config.required_at_most if policy.at_most is None else policy.at_most

@@ -1,0 +1,273 @@
+"""The gate: each policy fails for its own reason, and its outputs say which."""
+
+import json
+import re
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from perfbound.orchestrator.certificate import files
+from perfbound.orchestrator.certificate.signing import keys, sign
+from perfbound.orchestrator.release.gate.outputs import conclusion, to_junit, to_markdown, to_sarif
+from perfbound.orchestrator.release.gate.policy import Policy, load_policy
+from perfbound.orchestrator.release.gate.rules import Finding, Judgement, judged
+from perfbound.orchestrator.release.gate.subject import read_subject
+from perfbound.orchestrator.store.read import last_outcome
+from perfbound.schemas.errors import PerfboundError
+from perfbound.schemas.rollout import RolloutRequest
+from tests.facts import facts, says
+from tests.fakes.simulators import robustness, simulate
+from tests.tampering import editing
+
+PAGE = Path(__file__).parents[4] / "docs" / "release.md"
+SAMPLE = Path(__file__).parents[3] / "fixtures" / "finished" / "sample"
+RIGOROUS = {"method": "rigorous", "alpha": 0.1, "rkhs_norm": 2.0, "noise_scale": 0.0, "kernel": {"length_scale": 0.7}}
+DAY = 86_400.0
+PASSES = """
+verdict = "SHOWN"
+at_most = 0.45
+probability = 0.95
+constants = "none"
+signed_by = "alice.pub"
+max_age = "30d"
+software = { perfbound = ">=0.1", numpy = ">=1" }
+[assumptions]
+drawn_starts = "derived"
+only_campaign = ["assumed", "not refuted"]
+"*" = ["derived", "assumed", "not refuted"]
+"""
+
+
+def slope(request: RolloutRequest) -> float:
+    return 0.5 - 0.2 * (sum(request.x) - 1.0)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A signed campaign by method `sample`, two by `rigorous`, one of which is violated, and one with requirements."""
+    found = tmp_path_factory.mktemp("gate")
+    shutil.copytree(SAMPLE, found / "sample")
+    for name in ("alice", "bob"):
+        keys.new_pair(found, name)
+    sign.sign_certificate(found / "sample", keys.load_private(found / "alice.key"))
+    config = robustness(RIGOROUS, spot_check=20, recheck=3)
+    assert simulate(found / "good", config, slope, noisy=False)
+    bare = robustness(RIGOROUS, spot_check=0, recheck=0, name="bad")
+    assert simulate(found / "bad", bare, lambda request: slope(request) - 0.5, noisy=False)
+    several = robustness(
+        {"method": "sample"},
+        name="several",
+        specification=None,
+        specifications=[
+            {"name": "low", "formula": "value >= 0", "id": "R-1"},
+            {"name": "high", "formula": "value >= 0.45", "id": "R-2"},
+        ],
+        claims=[{"quantity": "failure_probability"}],
+        max_tests=60,
+        spot_check=0,
+        recheck=0,
+    )
+    assert simulate(found / "several", several, slope, noisy=True)
+    return found
+
+
+@pytest.fixture(autouse=True)
+def a_day_later(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have the fixture's last rollout be a day old."""
+    ended = last_outcome(runs / "sample")
+    assert ended is not None
+    monkeypatch.setattr("perfbound.orchestrator.run.known.time.time", lambda: ended + DAY)
+
+
+def judge(runs: Path, policy: str, *names: str) -> list[Judgement]:
+    (runs / "policy.toml").write_text(policy)
+    rules = load_policy(runs / "policy.toml")
+    return judged(rules, [read_subject(runs / name, rules, None, lambda *_: None) for name in names])
+
+
+def failed(found: Sequence[Judgement]) -> list[Finding]:
+    return [finding for each in found for finding in each.findings if not finding.passed]
+
+
+def test_a_policy_of_every_rule_passes(runs: Path) -> None:
+    found = judge(runs, PASSES, "sample")
+    assert not failed(found)
+    assert all(each.passed for each in found)
+    assert {each.rule for each in found[0].findings} == {
+        "verified", "verdict", "at_most", "probability", "constants", "signed_by", "max_age", "software", "assumptions",
+    }  # fmt: skip
+    assert says(conclusion(found), "GATE PASSED")
+
+
+def test_an_empty_policy_asks_for_a_verified_certificate_that_shows_what_is_required(runs: Path) -> None:
+    assert [each.rule for each in judge(runs, "", "good")[0].findings] == ["verified", "verdict"]
+    assert [each.rule for each in failed(judge(runs, "", "bad"))] == ["verdict"]
+
+
+@pytest.mark.parametrize(
+    ("policy", "name", "rule", "listed"),
+    [
+        ("", "bad", "verdict", "VIOLATED"),
+        ('verdict = "not VIOLATED"', "bad", "verdict", "VIOLATED"),
+        ("margin = 5", "good", "margin", "robustness >="),
+        ("at_most = 0.4", "sample", "at_most", "failure_probability <= 0.4382"),
+        ("margin = 0.1", "sample", "margin", "failure_probability <= 0.4382"),
+        ("at_most = 0.1", "good", "at_most", "robustness >="),
+        ("probability = 0.99", "sample", "probability", "at least 0.9500"),
+        ('constants = "none"', "good", "constants", "rkhs_norm/robustness"),
+        ('constants = "doubled"\nverdict = "any"', "bad", "constants", "VIOLATED"),
+        ('assumptions = { only_campaign = "not refuted" }', "sample", "assumptions", "assumed"),
+        ('verdict = "any"\nspot_check = true', "bad", "spot_check", "none"),
+        ('verdict = "any"\nrecheck = true', "bad", "recheck", "none"),
+        ('requirements = ["R-7"]\nverdict = "any"', "several", "requirements", "no campaign has it"),
+        ('requirements = ["R-2"]\nverdict = "any"', "several", "requirements", "failure_probability <= at_most"),
+        ('signed_by = "alice.pub"', "good", "signed_by", "not signed"),
+        ('signed_by = ["alice.pub", "bob.pub"]', "sample", "signed_by", "no signature by key"),
+        ('max_age = "23h"', "sample", "max_age", "24 h 0 min since the last rollout"),
+        ('software = { numpy = ">=99" }', "sample", "software", "2."),
+        ('software = { jax = ">=0" }', "sample", "software", "not recorded"),
+    ],
+)
+def test_a_policy_fails_for_its_own_reason(runs: Path, policy: str, name: str, rule: str, listed: str) -> None:
+    (found,) = failed(judge(runs, policy, name))
+    assert found.rule == rule
+    assert says(found.found, listed)
+    assert found.remedy
+    assert found.expected
+
+
+def test_a_requirement_is_shown_by_any_of_the_campaigns(runs: Path) -> None:
+    policy = 'requirements = ["R-1", "high"]\nverdict = "any"\nat_most = 0.2'
+    *_, found = judge(runs, policy, "sample", "several")
+    assert [each.passed for each in found.findings] == [True, False]
+    assert found.name == "requirements"
+
+
+def test_the_whole_specification_shows_each_of_its_requirements(runs: Path) -> None:
+    parts = [{"name": "low", "formula": "value >= 0", "id": "R-1"}, {"name": "lower", "formula": "value >= -0.1"}]
+    whole = robustness(RIGOROUS, name="whole", specification=None, specifications=parts, composition="single")
+    if not (runs / "whole").exists():
+        assert simulate(runs / "whole", whole, slope, noisy=False)
+    assert not failed(judge(runs, 'requirements = ["R-1", "lower"]', "whole"))
+
+
+def test_nothing_of_a_campaign_counts_that_is_not_verified(runs: Path, tmp_path: Path) -> None:
+    changed = Path(shutil.copytree(runs / "sample", tmp_path / "changed"))
+    file = next(changed.rglob("*.mcap"))
+    file.write_bytes(file.read_bytes()[:-1])
+    (found,) = judge(runs, 'margin = 1\nmax_age = "1h"', str(changed))
+    assert [each.rule for each in found.findings] == ["verified"]
+    assert says(found.findings[0].found, "files:")
+    trusted = judge(runs, "verified = false", str(changed))
+    assert not failed(trusted), "only `verified = false` takes a directory at its word"
+
+
+def test_emptied_tables_hide_no_violations(runs: Path, tmp_path: Path) -> None:
+    # For a certificate its evidence is enough; the verdict counts the violations of the database.
+    emptied = Path(shutil.copytree(runs / "bad", tmp_path / "emptied"))
+    with editing(emptied) as database:
+        for table in ("bounds", "observations", "rollouts", "tests"):
+            database.execute(f"DELETE FROM {table}")
+    (found,) = failed(judge(runs, 'verdict = "not VIOLATED"', str(emptied)))
+    assert found.rule == "verified"
+    assert says(found.found, "database: violations")
+
+
+def test_an_age_without_a_record_of_attempts_is_none(runs: Path, tmp_path: Path) -> None:
+    without = Path(shutil.copytree(runs / "sample", tmp_path / "without"))
+    (without / files.ATTEMPTS).unlink()
+    (without / files.ATTEMPTS_ENVELOPE).unlink()
+    (found,) = failed(judge(runs, 'max_age = "30d"', str(without)))
+    assert says(found.found, "attempts: age")
+
+
+def test_a_campaign_that_is_not_finished_is_unreadable(runs: Path, tmp_path: Path) -> None:
+    unfinished = Path(shutil.copytree(runs / "sample", tmp_path / "unfinished"))
+    (unfinished / files.CERTIFICATE).unlink()
+    found = judge(runs, "", "sample", str(unfinished))
+    assert [bool(each.fault) for each in found] == [False, True]
+    assert says(conclusion(found), "GATE FAILED: 1 unreadable")
+    suite = ElementTree.fromstring(to_junit(found)).findall("testsuite")[1]
+    assert suite.attrib["errors"] == "1"
+    assert suite.find("testcase/error") is not None
+
+
+@pytest.mark.parametrize(
+    ("text", "listed"),
+    [
+        ("margn = 1", "margn: no such key; 'margin'"),
+        ("margin = true", "margin: True"),
+        ("probability = 1.5", "probability: 1.5"),
+        ('max_age = "30"', "max_age: '30' 30d"),
+        ("max_age = 30", "max_age: 30 30d"),
+        ('software = { numpy = "2.x" }', "software: 2.x"),
+        ('assumptions = { clip = "fine" }', "assumptions.clip"),
+        ('verdict = "shown"', "verdict: 'shown'"),
+        ("verdict =", "not TOML"),
+        ("resimulated = -1", "resimulated: -1"),
+    ],
+)
+def test_a_wrong_policy_is_one_line_with_its_key(tmp_path: Path, text: str, listed: str) -> None:
+    path = tmp_path / "policy.toml"
+    path.write_text(text)
+    with pytest.raises(PerfboundError, match=facts(listed)) as caught:
+        load_policy(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_junit_has_a_case_for_each_rule(runs: Path) -> None:
+    found = judge(runs, 'assumptions = { "*" = "derived" }', "sample", "bad")
+    root = ElementTree.fromstring(to_junit(found))
+    for each, suite in zip(found, root.findall("testsuite"), strict=True):
+        cases = suite.findall("testcase")
+        names = [case.attrib["name"] for case in cases]
+        assert len(set(names)) == len(names) == len(each.findings) == int(suite.attrib["tests"])
+        assert sum(case.find("failure") is not None for case in cases) == int(suite.attrib["failures"])
+        assert int(suite.attrib["failures"]) == sum(not finding.passed for finding in each.findings)
+
+
+def test_junit_and_markdown_survive_any_text(runs: Path) -> None:
+    hostile = Finding("verdict", False, "a|b <b>", "\x00\x1b[31m & \ufffe", "`x`")
+    found = [Judgement("runs/<a>&\x01", (hostile,))]
+    assert ElementTree.fromstring(to_junit(found)).find(".//failure") is not None
+    row = to_markdown(found).splitlines()[4]
+    assert "<b>" not in row
+    assert row.replace("\\|", "").count("|") == 6
+
+
+def test_sarif_names_the_line_of_the_campaign_file(runs: Path, tmp_path: Path) -> None:
+    file = tmp_path / "bad.toml"
+    file.write_text('name = "bad"\n\nspecification = "value >= 0"\n')
+    log = json.loads(to_sarif(judge(runs, "", "good", "bad"), [file]))
+    results = {each["ruleId"]: each for each in log["runs"][0]["results"]}
+    assert (
+        set(results)
+        == {"verdict", "counterexample"}
+        == {each["id"] for each in log["runs"][0]["tool"]["driver"]["rules"]}
+    )
+    place = results["counterexample"]["locations"][0]["physicalLocation"]
+    assert place["artifactLocation"]["uri"].endswith("bad.toml")
+    assert place["region"]["startLine"] == 3
+    without = json.loads(to_sarif(judge(runs, "", "bad"), []))["runs"][0]["results"][0]
+    assert without["locations"][0]["physicalLocation"]["artifactLocation"]["uri"].endswith("bad/certificate.json")
+
+
+def test_markdown_has_a_row_for_each_failing_rule_and_every_verdict(runs: Path) -> None:
+    lines = to_markdown(judge(runs, "margin = 5", "good", "bad")).splitlines()
+    assert says(lines[0], "GATE FAILED: 3 rules fail")
+    assert sum(line.startswith("| ") for line in lines) == 1 + 3
+    assert sum(line.startswith("- ") for line in lines) == 2
+
+
+def test_the_page_has_every_key_with_its_default() -> None:
+    table = PAGE.read_text().partition("| key | by default |")[2].partition("\n\n")[0]
+    rows = dict(re.findall(r"^\| `(\w+)` \|\s*`?([^|`]*?)`?\s*\|", table, re.MULTILINE))
+    assert list(rows) == list(Policy.model_fields)
+    defaults = {name: json.loads(written) for name, written in rows.items() if written.strip()}
+    assert Policy() == Policy(**defaults)
+    given = {"margin", "at_most", "probability", "constants", "max_age", "assumptions", "requirements", "signed_by"}
+    assert rows.keys() - defaults == given | {"software"}, "without them nothing is asked"
