@@ -27,14 +27,17 @@ class Policy(Model):
     """The rules of a gate; a key that is left out asks nothing, but for the first two."""
 
     verdict: Literal["SHOWN", "not VIOLATED", "any"] = Field(
-        default="SHOWN", description="that the campaign may have; `any` asks nothing"
+        default="SHOWN", description="the verdict of the campaign; `any` asks nothing"
     )
     verified: bool = Field(
         default=True,
-        description="whether `perfbound verify` must pass; without it, whoever can write the run directory decides",
+        description="`perfbound verify` passes; without it, whoever can write the run directory decides",
     )
     resimulated: int = Field(
-        default=0, ge=0, le=1_000_000, description="rollouts or batches that are simulated again, and must be the same"
+        default=0,
+        ge=0,
+        le=1_000_000,
+        description="number of rollouts or batches that are simulated again, and are the same",
     )
     margin: float | None = Field(default=None, description="least bound of a first claim that is a bound from below")
     at_most: float | None = Field(
@@ -48,21 +51,21 @@ class Policy(Model):
     )
     assumptions: dict[str, Annotated[tuple[Status, ...], Field(strict=False, min_length=1)]] = Field(
         default_factory=dict,
-        description='by id, the statuses that an assumption of the first claim may have; "*" is for all others',
+        description='by id, the allowed statuses of an assumption of the first claim; "*" is for all others',
     )
-    spot_check: bool = Field(default=False, description="whether fresh starts must have tested the bounds")
-    recheck: bool = Field(default=False, description="whether recorded rollouts must have been simulated again")
+    spot_check: bool = Field(default=False, description="fresh starts have tested the bounds, and refuted none")
+    recheck: bool = Field(default=False, description="recorded rollouts were simulated again, and all were the same")
     requirements: tuple[str, ...] = Field(
         default=(),
         strict=False,
         max_length=1000,
-        description="ids or names of requirements, each of which one of the campaigns must show",
+        description="ids or names of requirements, each of which one of the campaigns shows",
     )
     signed_by: tuple[Annotated[str, StringConstraints(min_length=1)], ...] = Field(
-        default=(), strict=False, max_length=100, description="public keys, each of which must have signed; FILE.pub"
+        default=(), strict=False, max_length=100, description="public keys, each of which has signed; FILE.pub"
     )
     max_age: float | None = Field(
-        default=None, gt=0, description='since the last rollout: "36h", "30d" or "2w"', examples=["30d"]
+        default=None, gt=0, description='largest time since the last rollout: "36h", "30d" or "2w"'
     )
     software: dict[str, str] = Field(
         default_factory=dict, description='versions of the campaign, { perfbound = ">=0.2,<0.4", numpy = "==2.*" }'
