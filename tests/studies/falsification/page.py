@@ -77,7 +77,7 @@ def medians(rows: Sequence[Row]) -> str:
 
 def verdict(rows: Sequence[Row]) -> str:
     """Return where our median is least, and where another search has a smaller one: a sentence for each."""
-    first, near, behind, nobody = [], [], [], []
+    first, near, behind, seldom, nobody = [], [], [], [], []
     for system, of in by_benchmark(rows).items():
         of_search = by_search(of)
         ours = of_search.pop(OURS, [])
@@ -87,6 +87,12 @@ def verdict(rows: Sequence[Row]) -> str:
         best = min(others, key=lambda search: others[search], default=None)
         if not found_in(ours) and best is None:
             nobody.append(system.name)
+        elif min([middle(ours), *others.values()]) >= ours[0].run.budget:
+            # All medians are the budget: equal medians would say more than was seen.
+            counts = {OURS: ours, **of_search}
+            seldom.append(
+                f"{system.name} ({', '.join(_count(name, of) for name, of in counts.items() if found_in(of))})"
+            )
         elif best is None or middle(ours) <= others[best]:
             first.append(system.name)
         elif middle(ours) <= NEAR * others[best]:
@@ -97,9 +103,14 @@ def verdict(rows: Sequence[Row]) -> str:
         "perfbound has the least median, or an equal one, on": first,
         "Within 10 % of the least:": near,
         "Behind on": behind,
+        "Falsified by fewer than half of the searches of any kind:": seldom,
         "Falsified by none:": nobody,
     }
     return " ".join(f"{words} {', '.join(names)}." for words, names in lines.items() if names)
+
+
+def _count(name: str, rows: Sequence[Row]) -> str:
+    return f"{name} {found_in(rows)} of {len(rows)}"
 
 
 def section(rows: Sequence[Row]) -> str:

@@ -132,6 +132,14 @@ def test_the_verdict_names_where_another_search_is_better() -> None:
     )
 
 
+def test_equal_medians_at_the_budget_are_no_lead() -> None:
+    found = [
+        Row(Run("AT54", 2, "CMA-ES", seed, 300), count, count < 300, 1.0) for seed, count in enumerate((10, 300, 300))
+    ]
+    rows = [*rows_of("AT54", ours=300), *found]
+    assert page.verdict(rows) == "Falsified by fewer than half of the searches of any kind: AT54 (CMA-ES 1 of 3)."
+
+
 def test_the_page_has_what_the_generator_writes_from_the_results() -> None:
     rows = study.read(RESULTS)
     assert page.section(rows) in PAGE.read_text(encoding="utf-8")
