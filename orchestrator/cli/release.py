@@ -75,5 +75,5 @@ def gate(
             file.write(outputs.to_markdown(found))
     if any(each.fault for each in found):
         sys.exit(UNREADABLE)
-    if outputs.outcome(found) != outputs.PASSED:
+    if not outputs.passed(found):
         sys.exit(FAILED)

@@ -81,23 +81,19 @@ def signed_payload(envelope: bytes, public_key: Ed25519PublicKey) -> bytes:
     return payload
 
 
-def signature_fault(directory: Path, public_key: Ed25519PublicKey) -> str:
-    """Return why the certificate in `directory` does not count as signed by this key; nothing where it does.
+def signed_certificate(envelope: Path, certificate: Path, public_key: Ed25519PublicKey) -> bytes:
+    """Return the bytes of a certificate as `public_key` signed it; its file may be missing.
 
     Raises:
-        EvidenceError: the certificate or its envelope cannot be read.
+        SignatureError: the signature does not fit, or the file has other bytes.
+        EvidenceError: a file cannot be read.
 
     """
-    envelope, name = directory / files.ENVELOPE, files.CERTIFICATE
-    if not envelope.exists():
-        return "it is not signed"
-    try:
-        payload = signed_payload(contents(envelope, MAX_ENVELOPE), public_key)
-    except SignatureError as error:
-        return str(error)
+    payload = signed_payload(contents(envelope, MAX_ENVELOPE), public_key)
     # Readers open the certificate, not the envelope: it must be the signed one.
-    same = contents(directory / name, files.MAX_CERTIFICATE) == payload
-    return "" if same else f"{name} is not the signed certificate"
+    if certificate.exists() and contents(certificate, files.MAX_CERTIFICATE) != payload:
+        raise SignatureError(f"{certificate.name} is not the signed certificate")
+    return payload
 
 
 def sign_certificate(directory: Path, key: Ed25519PrivateKey) -> Path:

@@ -1,5 +1,6 @@
 """The judgements of a gate for readers: a terminal, JUnit XML, SARIF 2.1.0, and Markdown for a pull request."""
 
+import html
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -13,11 +14,12 @@ from rich.text import Text
 from ....schemas import __version__
 from ....schemas.amounts import counted
 from ....schemas.errors import one_line
+from ....schemas.file.reader import MAX_CAMPAIGN_FILE
+from ....schemas.outside import read_outside
 from ...certificate.words.console_lines import hanging, heading, plain_line
 from .policy import ALLOWED
 from .rules import Finding, Judgement
 
-PASSED, FAILED = "PASSED", "FAILED"
 SARIF_SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
 COUNTEREXAMPLE, UNREADABLE = "counterexample", "unreadable"
 OTHER_RULES = {
@@ -27,9 +29,9 @@ OTHER_RULES = {
 """Of SARIF alone: what no key of a policy asks."""
 
 
-def outcome(judgements: Sequence[Judgement]) -> str:
-    """Return the result in one word."""
-    return PASSED if all(each.passed for each in judgements) else FAILED
+def passed(judgements: Sequence[Judgement]) -> bool:
+    """Whether every rule holds, and everything could be read."""
+    return all(each.passed for each in judgements)
 
 
 def print_judgements(judgements: Sequence[Judgement], console: Console) -> None:
@@ -47,8 +49,7 @@ def print_judgements(judgements: Sequence[Judgement], console: Console) -> None:
                 hanging(console, Text(" " * 24), f"to do: {finding.remedy}")
         if each.subject is not None and each.subject.campaign is None and not each.fault:
             hanging(console, Text(" " * 24), "No other rule was judged: nothing that is not verified counts.")
-    result = outcome(judgements)
-    heading(console, conclusion(judgements), "bold green" if result == PASSED else "bold red")
+    heading(console, conclusion(judgements), "bold green" if passed(judgements) else "bold red")
 
 
 def conclusion(judgements: Sequence[Judgement]) -> str:
@@ -58,7 +59,8 @@ def conclusion(judgements: Sequence[Judgement]) -> str:
     parts = [counted(failed, "rule") + (" fails" if failed == 1 else " fail")] if failed else []
     parts += [f"{counted(unreadable, 'certificate')} unreadable"] if unreadable else []
     total = sum(len(each.findings) for each in judgements)
-    return f"GATE {outcome(judgements)}: {', '.join(parts) or counted(total, 'rule') + ' hold'}"
+    result = "PASSED" if passed(judgements) else "FAILED"
+    return f"GATE {result}: {', '.join(parts) or counted(total, 'rule') + ' hold'}"
 
 
 def to_junit(judgements: Sequence[Judgement]) -> str:
@@ -69,7 +71,7 @@ def to_junit(judgements: Sequence[Judgement]) -> str:
         suite = ElementTree.SubElement(
             root,
             "testsuite",
-            name=_xml(each.name),
+            name=one_line(each.name),
             tests=str(len(each.findings) + errors),
             failures=str(failures),
             errors=str(errors),
@@ -77,14 +79,16 @@ def to_junit(judgements: Sequence[Judgement]) -> str:
             time="0",
         )
         if each.fault:
-            case = ElementTree.SubElement(suite, "testcase", classname=_xml(each.name), name=UNREADABLE, time="0")
-            ElementTree.SubElement(case, "error", message=_xml(each.fault), type=UNREADABLE)
+            case = ElementTree.SubElement(suite, "testcase", classname=one_line(each.name), name=UNREADABLE, time="0")
+            ElementTree.SubElement(case, "error", message=one_line(each.fault), type=UNREADABLE)
         for name, finding in _named(each.findings):
-            case = ElementTree.SubElement(suite, "testcase", classname=_xml(each.name), name=_xml(name), time="0")
+            case = ElementTree.SubElement(
+                suite, "testcase", classname=one_line(each.name), name=one_line(name), time="0"
+            )
             if not finding.passed:
                 message = f"expected {finding.expected}; found {finding.found}"
-                found = ElementTree.SubElement(case, "failure", message=_xml(message), type=finding.rule)
-                found.text = _xml(f"{message}\nto do: {finding.remedy}")
+                found = ElementTree.SubElement(case, "failure", message=one_line(message), type=finding.rule)
+                found.text = f"{one_line(message)}\nto do: {one_line(finding.remedy)}"
     ElementTree.indent(root)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
 
@@ -94,11 +98,6 @@ def _named(findings: Sequence[Finding]) -> Iterator[tuple[str, Finding]]:
     rules = [each.rule for each in findings]
     for each in findings:
         yield (each.rule if rules.count(each.rule) == 1 else f"{each.rule}: {each.expected}"), each
-
-
-def _xml(text: str) -> str:
-    """Return a text with what XML 1.0 allows: a name in a certificate may be anybody's."""
-    return "".join(each if each >= " " or each in "\t\n" else "?" for each in text if each not in "\ufffe\uffff")
 
 
 def to_markdown(judgements: Sequence[Judgement]) -> str:
@@ -122,7 +121,7 @@ def _row(*cells: str) -> str:
 
 def _cell(text: str) -> str:
     """Return a text that neither ends a cell nor is a tag."""
-    marked = one_line(text).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    marked = html.escape(one_line(text), quote=False)
     return "".join(f"\\{each}" if each in "|*_[]\\" else each for each in marked)
 
 
@@ -183,8 +182,7 @@ def _certificate(each: Judgement) -> Path:
 def _line_of(file: Path, key: str) -> int:
     """Return the number of the line that begins with a key, or with a table of it; 1 where none does."""
     try:
-        lines = file.read_text(errors="replace").splitlines()
+        lines = read_outside(file, MAX_CAMPAIGN_FILE).decode(errors="replace").splitlines()
     except OSError:
         return 1
-    begins = (f"{key}", f"[{key}")
-    return next((number for number, line in enumerate(lines, 1) if key and line.lstrip().startswith(begins)), 1)
+    return next((number for number, line in enumerate(lines, 1) if key and line.lstrip(" [").startswith(key)), 1)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from packaging.specifiers import InvalidSpecifier, SpecifierSet
-from pydantic import Field, StringConstraints, ValidationError, field_validator
+from pydantic import BeforeValidator, Field, StringConstraints, ValidationError, field_validator
 
 from ....schemas.base import Model
 from ....schemas.errors import PerfboundError, meant, shortened
@@ -21,6 +21,8 @@ OTHERS = "*"
 UNITS = {"h": 3600.0, "d": 86_400.0, "w": 604_800.0}
 """Seconds of the units of `max_age`."""
 AGE = re.compile(r"([0-9]{1,6})\s*([hdw])")
+ONE_OR_MORE = BeforeValidator(lambda given: [given] if isinstance(given, str) else given)
+"""Of a list: a text alone is short for a list of it."""
 
 
 class Policy(Model):
@@ -31,7 +33,7 @@ class Policy(Model):
     )
     verified: bool = Field(
         default=True,
-        description="`perfbound verify` passes; without it, whoever can write the run directory decides",
+        description="`perfbound verify` passes; without it, everyone with write access to the run directory decides",
     )
     resimulated: int = Field(
         default=0,
@@ -49,19 +51,19 @@ class Policy(Model):
         description="`doubled`: SHOWN also with twice the norm bound or half the length scales; `none`: the first "
         "claim rests on no constant of a kernel",
     )
-    assumptions: dict[str, Annotated[tuple[Status, ...], Field(strict=False, min_length=1)]] = Field(
+    assumptions: dict[str, Annotated[tuple[Status, ...], ONE_OR_MORE, Field(strict=False, min_length=1)]] = Field(
         default_factory=dict,
         description='by id, the allowed statuses of an assumption of the first claim; "*" is for all others',
     )
     spot_check: bool = Field(default=False, description="fresh starts have tested the bounds, and refuted none")
     recheck: bool = Field(default=False, description="recorded rollouts were simulated again, and all were the same")
-    requirements: tuple[str, ...] = Field(
+    requirements: Annotated[tuple[str, ...], ONE_OR_MORE] = Field(
         default=(),
         strict=False,
         max_length=1000,
         description="ids or names of requirements, each of which one of the campaigns shows",
     )
-    signed_by: tuple[Annotated[str, StringConstraints(min_length=1)], ...] = Field(
+    signed_by: Annotated[tuple[Annotated[str, StringConstraints(min_length=1)], ...], ONE_OR_MORE] = Field(
         default=(), strict=False, max_length=100, description="public keys, each of which has signed; FILE.pub"
     )
     max_age: float | None = Field(
@@ -99,7 +101,6 @@ class Policy(Model):
 
 ALLOWED = {name: field.description for name, field in Policy.model_fields.items()}
 """The keys of a policy, and what each asks."""
-TEXT_OR_LIST = ("signed_by", "requirements")
 
 
 def load_policy(path: Path) -> Policy:
@@ -111,7 +112,7 @@ def load_policy(path: Path) -> Policy:
     """
     try:
         table = tomllib.loads(read_outside(path, MAX_POLICY).decode("utf-8-sig"))
-        found = Policy.model_validate_json(json.dumps(_as_lists(table)))
+        found = Policy.model_validate_json(json.dumps(table, default=str))
     except OSError as error:
         raise PerfboundError(f"{path}: {error.strerror}; give a policy file with --policy") from None
     except ValidationError as error:
@@ -121,18 +122,6 @@ def load_policy(path: Path) -> Policy:
         raise PerfboundError(f"{path}: not TOML: {reason}; fix this line of the policy") from None
     keys = tuple(str(path.parent / each) for each in found.signed_by)
     return found.model_copy(update={"signed_by": keys})
-
-
-def _as_lists(table: dict[str, Any]) -> dict[str, Any]:
-    """Return the table with a list where a single text stands for one."""
-    found = {key: _as_list(each) if key in TEXT_OR_LIST else each for key, each in table.items()}
-    if isinstance(statuses := table.get("assumptions"), dict):
-        found["assumptions"] = {name: _as_list(each) for name, each in statuses.items()}
-    return found
-
-
-def _as_list(given: Any) -> Any:
-    return [given] if isinstance(given, str) else given
 
 
 def _fault(error: ValidationError) -> str:

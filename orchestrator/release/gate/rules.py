@@ -1,4 +1,4 @@
-"""The rules of a policy, each a function of the policy and of one campaign; a rule that is not asked for is None."""
+"""The rules of a policy: each judges one campaign, and finds nothing where the policy does not ask for it."""
 
 import shlex
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -26,11 +26,11 @@ class Finding:
     """What became of one rule; the texts are one line each."""
 
     rule: str
-    passed: bool
     expected: str
     found: str
     remedy: str
-    """What to do; empty where the rule holds."""
+    """What to do where it fails."""
+    passed: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ def _on_one(policy: Policy, subject: Subject) -> Judgement:
 def _verified(policy: Policy, subject: Subject) -> Finding:
     again = f", {counted(policy.resimulated, 'rollout')} simulated again" if policy.resimulated else ""
     passed = f"{subject.checks} passed{'; ' if subject.resimulated else ''}{subject.resimulated}"
-    return _finding(
+    return Finding(
         "verified",
         f"every check of `perfbound verify`{again}",
         "; ".join(subject.failed_checks[:3]) or passed,
@@ -84,7 +84,7 @@ def _signed(key: str, subject: Subject) -> Finding:
     fault = subject.unsigned.get(key, "")
     command = shlex.join(["perfbound", "sign", subject.name, "--key", "KEY"])
     remedy = f"`{command}` with the private key of {key}"
-    return _finding("signed_by", f"a signature by {key}", fault or "signed", remedy, passed=not fault)
+    return Finding("signed_by", f"a signature by {key}", fault or "signed", remedy, passed=not fault)
 
 
 def _verdict(policy: Policy, campaign: Finished) -> Iterator[Finding]:
@@ -94,7 +94,7 @@ def _verdict(policy: Policy, campaign: Finished) -> Iterator[Finding]:
     passed = word == "SHOWN" if policy.verdict == "SHOWN" else word != "VIOLATED"
     found = word if passed or not reasons else f"{word}: {reasons[0]}"
     remedy = " ".join(campaign.verdict.advice[:1]) or "fix the system: its rollouts violate the requirement"
-    yield _finding("verdict", policy.verdict, found, remedy, passed=passed)
+    yield Finding("verdict", policy.verdict, found, remedy, passed=passed)
 
 
 def _bound(policy: Policy, campaign: Finished) -> Iterator[Finding]:
@@ -102,17 +102,16 @@ def _bound(policy: Policy, campaign: Finished) -> Iterator[Finding]:
     for rule, sense, limit in (("margin", ">=", policy.margin), ("at_most", "<=", policy.at_most)):
         if limit is None:
             continue
-        reached = claim.bound >= limit if sense == ">=" else claim.bound <= limit
         found = f"{claim.quantity} {claim.sense} {in_unit(outward(claim.bound, claim.sense), unit)}"
         if claim.sense != sense:
             remedy = (
                 f"ask for {'at_most' if sense == '>=' else 'margin'}, or for another first claim in the campaign file"
             )
-            yield _finding(rule, f"a bound {sense} {limit:g}", found, remedy, passed=False)
+            yield Finding(rule, f"a bound {sense} {limit:g}", found, remedy, passed=False)
             continue
         refuted = f", on refuted assumptions: {', '.join(claim.refuted)}" if claim.refuted else ""
-        yield _finding(
-            rule, f"{sense} {in_unit(f'{limit:g}', unit)}", found + refuted, MORE_TESTS, passed=reached and not refuted
+        yield Finding(
+            rule, f"{sense} {in_unit(f'{limit:g}', unit)}", found + refuted, MORE_TESTS, passed=_reaches(claim, limit)
         )
 
 
@@ -120,7 +119,7 @@ def _probability(policy: Policy, campaign: Finished) -> Iterator[Finding]:
     if policy.probability is not None:
         found = campaign.predicate.claims[0].probability
         remedy = "run the campaign with a smaller delta, or with required_probability in its file"
-        yield _finding(
+        yield Finding(
             "probability",
             f"at least {policy.probability:g}",
             f"at least {outward(found, '>=')}",
@@ -137,11 +136,11 @@ def _constants(policy: Policy, campaign: Finished) -> Iterator[Finding]:
         found = f"it rests on {rests}" if rests else "the same verdict" if shown else campaign.verdict.verdict
         remedy = "run more tests, or show it without a kernel: method `sample`, or the fresh starts of a spot check"
         expected = "SHOWN also with twice the norm bound or half the length scales"
-        yield _finding("constants", expected, found, remedy, passed=shown and not rests)
+        yield Finding("constants", expected, found, remedy, passed=shown and not rests)
     elif policy.constants == "none":
         found = f"it assumes {', '.join(kernels)}" if kernels else "it assumes none"
         remedy = "choose a method without a kernel for the first claim: `sample`, or `scenario` with listed starts"
-        yield _finding("constants", "no constant of a kernel", found, remedy, passed=not kernels)
+        yield Finding("constants", "no constant of a kernel", found, remedy, passed=not kernels)
 
 
 def _assumptions(policy: Policy, campaign: Finished) -> Iterator[Finding]:
@@ -153,9 +152,9 @@ def _assumptions(policy: Policy, campaign: Finished) -> Iterator[Finding]:
     for each in wrong:
         allowed = " or ".join(_allowed(policy, each))
         remedy = f"`perfbound show DIR --assumptions` has the reason; {_for_status(each)}"
-        yield _finding("assumptions", f"{each.id}: {allowed}", each.status, remedy, passed=False)
+        yield Finding("assumptions", f"{each.id}: {allowed}", each.status, remedy, passed=False)
     if not wrong:
-        yield _finding(
+        yield Finding(
             "assumptions", "allowed statuses", f"{counted(len(there), 'assumption')}, all allowed", "", passed=True
         )
 
@@ -173,21 +172,24 @@ def _for_status(each: Assumption) -> str:
     return "no data of the campaign tested it: judge it, and allow its status in the policy"
 
 
-def _closing(policy: Policy, campaign: Finished) -> Iterator[Finding]:
-    spot, again = campaign.predicate.spot_check, campaign.predicate.recheck
+def _spot_check(policy: Policy, campaign: Finished) -> Iterator[Finding]:
     if policy.spot_check:
+        spot = campaign.predicate.spot_check
         refuted = [each.key for each in spot.problems if each.status == "refuted"] if spot else []
         found = "none" if spot is None else f"{counted(spot.starts, 'fresh start')}"
         found += f"; refuted: {', '.join(refuted)}" if refuted else ""
         remedy = "run the campaign with `spot_check` in its file" if spot is None else "do not rely on the claim"
-        yield _finding(
-            "spot_check", "bounds tested at fresh starts", found, remedy, passed=spot is not None and not refuted
-        )
+        good = spot is not None and not refuted
+        yield Finding("spot_check", "bounds tested at fresh starts", found, remedy, passed=good)
+
+
+def _recheck(policy: Policy, campaign: Finished) -> Iterator[Finding]:
     if policy.recheck:
+        again = campaign.predicate.recheck
         found = "none" if again is None else f"{again.agreed} of {counted(again.rollouts, 'rollout')} the same"
-        good = again is not None and again.rollouts > 0 and again.agreed == again.rollouts
         remedy = "run the campaign with `recheck` in its file, on a system whose rollouts follow from their seeds"
-        yield _finding("recheck", "recorded rollouts simulated again, and the same", found, remedy, passed=good)
+        good = again is not None and 0 < again.rollouts == again.agreed
+        yield Finding("recheck", "recorded rollouts simulated again, and the same", found, remedy, passed=good)
 
 
 def _age(policy: Policy, campaign: Finished) -> Iterator[Finding]:
@@ -197,7 +199,7 @@ def _age(policy: Policy, campaign: Finished) -> Iterator[Finding]:
         # A clock that goes backwards makes no evidence younger.
         good = age is not None and -DAY <= age <= policy.max_age
         remedy = "run the campaign again on the present system, and check the clock of this machine"
-        yield _finding("max_age", f"at most {_days(policy.max_age)}", found, remedy, passed=good)
+        yield Finding("max_age", f"at most {_days(policy.max_age)}", found, remedy, passed=good)
 
 
 def _days(seconds: float) -> str:
@@ -208,7 +210,7 @@ def _software(policy: Policy, campaign: Finished) -> Iterator[Finding]:
     for name, versions in policy.software.items():
         found = campaign.predicate.software.get(name)
         remedy = f"run the campaign with {name} {versions}"
-        yield _finding("software", f"{name} {versions}", found or "not recorded", remedy, passed=_fits(found, versions))
+        yield Finding("software", f"{name} {versions}", found or "not recorded", remedy, passed=_fits(found, versions))
 
 
 def _fits(found: str | None, versions: str) -> bool:
@@ -224,7 +226,8 @@ RULES: tuple[Callable[[Policy, Finished], Iterable[Finding]], ...] = (
     _probability,
     _constants,
     _assumptions,
-    _closing,
+    _spot_check,
+    _recheck,
     _software,
     _age,
 )
@@ -237,7 +240,7 @@ def _shown(policy: Policy, wanted: str, campaigns: Iterable[Finished]) -> Findin
     good = [each for each, passed in reasons if passed]
     found = (good or [each for each, _ in reasons] or ["no campaign has it"])[0]
     remedy = "give a run directory whose file has this id under `[specifications]`, and a claim that shows it"
-    return _finding("requirements", f"{wanted} is shown", found, remedy, passed=bool(good))
+    return Finding("requirements", f"{wanted} is shown", found, remedy, passed=bool(good))
 
 
 def _reasons(policy: Policy, wanted: str, campaign: Finished) -> Iterator[tuple[str, bool]]:
@@ -251,8 +254,7 @@ def _reasons(policy: Policy, wanted: str, campaign: Finished) -> Iterator[tuple[
         limit = _limit(policy, campaign, claim)
         text = f"{config.name}: {claim.quantity} {claim.sense} {outward(claim.bound, claim.sense)}"
         text += ", and neither `at_most` nor the campaign file says what is acceptable" if limit is None else ""
-        reached = limit is not None and (claim.bound >= limit if claim.sense == ">=" else claim.bound <= limit)
-        yield text, reached and not claim.refuted and not claim.vacuous
+        yield text, limit is not None and _reaches(claim, limit) and not claim.vacuous
     if not claims:
         yield f"{config.name}: no claim is about it", False
 
@@ -263,6 +265,11 @@ def _limit(policy: Policy, campaign: Finished, claim: CertificateClaim) -> float
     return campaign.header.config.required_at_most if policy.at_most is None else policy.at_most
 
 
+def _reaches(claim: CertificateClaim, limit: float) -> bool:
+    """Whether the bound of a claim is at a limit or beyond, and rests on nothing refuted."""
+    return not claim.refuted and (claim.bound >= limit if claim.sense == ">=" else claim.bound <= limit)
+
+
 def _first_part(name: str) -> str:
     """Return the kind of an assumption.
 
@@ -270,7 +277,3 @@ def _first_part(name: str) -> str:
     ('rkhs_norm', 'clip')
     """
     return name.partition("/")[0]
-
-
-def _finding(rule: str, expected: str, found: str, remedy: str, *, passed: bool) -> Finding:
-    return Finding(rule, passed, expected, found, "" if passed else remedy)

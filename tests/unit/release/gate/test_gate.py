@@ -231,7 +231,7 @@ def test_junit_has_a_case_for_each_rule(runs: Path) -> None:
 
 
 def test_junit_and_markdown_survive_any_text(runs: Path) -> None:
-    hostile = Finding("verdict", False, "a|b <b>", "\x00\x1b[31m & \ufffe", "`x`")
+    hostile = Finding("verdict", "a|b <b>", "\x00\x1b[31m & \ufffe \ud800", "`x`", passed=False)
     found = [Judgement("runs/<a>&\x01", (hostile,))]
     assert ElementTree.fromstring(to_junit(found)).find(".//failure") is not None
     row = to_markdown(found).splitlines()[4]
