@@ -4,7 +4,9 @@ import json
 import re
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import pytest
@@ -15,6 +17,7 @@ from perfbound.orchestrator.release.gate.outputs import conclusion, to_junit, to
 from perfbound.orchestrator.release.gate.policy import Policy, load_policy
 from perfbound.orchestrator.release.gate.rules import Finding, Judgement, judged
 from perfbound.orchestrator.release.gate.subject import read_subject
+from perfbound.orchestrator.run.known import Finished
 from perfbound.orchestrator.store.read import last_outcome
 from perfbound.schemas.errors import PerfboundError
 from perfbound.schemas.rollout import RolloutRequest
@@ -120,6 +123,7 @@ def test_an_empty_policy_asks_for_a_verified_certificate_that_shows_what_is_requ
         ('constants = "none"', "good", "constants", "rkhs_norm/robustness"),
         ('constants = "doubled"\nverdict = "any"', "bad", "constants", "VIOLATED"),
         ('assumptions = { only_campaign = "not refuted" }', "sample", "assumptions", "assumed"),
+        ('assumptions = { declared_distribution = "derived" }', "sample", "assumptions", "assumed"),
         ('verdict = "any"\nspot_check = true', "bad", "spot_check", "none"),
         ('verdict = "any"\nrecheck = true', "bad", "recheck", "none"),
         ('requirements = ["R-7"]\nverdict = "any"', "several", "requirements", "no campaign has it"),
@@ -139,6 +143,85 @@ def test_a_policy_fails_for_its_own_reason(runs: Path, policy: str, name: str, r
     assert found.expected
 
 
+def changed(runs: Path, name: str, policy: str, **changes: Any) -> list[Finding]:
+    """Return what fails of a campaign whose claim, certificate, verdict or age is another one."""
+    (runs / "policy.toml").write_text(f'verdict = "any"\nverified = false\n{policy}')
+    rules = load_policy(runs / "policy.toml")
+    found = read_subject(runs / name, rules, None, lambda *_: None)
+    assert found.campaign is not None
+    assert not failed(judged(rules, [found])), "it passes unchanged"
+    predicate, verdict = found.campaign.predicate, found.campaign.verdict
+    claims = tuple(each.model_copy(update=changes.get("claim", {})) for each in predicate.claims)
+    predicate = predicate.model_copy(update={"claims": claims, **changes.get("predicate", {})})
+    verdict = verdict.model_copy(update=changes.get("verdict", {}))
+    age = changes.get("age", found.campaign.age)
+    campaign = replace(found.campaign, predicate=predicate, verdict=verdict, age=age)
+    return failed(judged(rules, [replace(found, campaign=campaign)]))
+
+
+def test_a_bound_on_a_refuted_assumption_reaches_no_limit(runs: Path) -> None:
+    (found,) = changed(runs, "sample", "at_most = 0.45", claim={"refuted": ("drawn_starts/robustness",)})
+    assert found.rule == "at_most"
+    assert says(found.found, "drawn_starts/robustness")
+
+
+@pytest.mark.parametrize("claim", [{"vacuous": True}, {"refuted": ("clip",)}])
+def test_an_empty_or_refuted_claim_shows_no_requirement(runs: Path, claim: dict[str, Any]) -> None:
+    (found,) = changed(runs, "several", 'requirements = "R-1"\nat_most = 0.9', claim=claim)[-1:]
+    assert found.rule == "requirements"
+
+
+def test_a_verdict_that_rests_on_constants_is_not_the_same_with_others(runs: Path) -> None:
+    (found,) = changed(runs, "sample", 'constants = "doubled"', verdict={"rests_on": "B = 2"})
+    assert says(found.found, "B = 2")
+
+
+def test_a_refuting_spot_check_and_a_differing_recheck_fail(runs: Path) -> None:
+    predicate = subject_of(runs, "good").predicate
+    assert predicate.spot_check is not None
+    assert predicate.recheck is not None
+    problems = tuple(each.model_copy(update={"status": "refuted"}) for each in predicate.spot_check.problems)
+    spot = predicate.spot_check.model_copy(update={"problems": problems})
+    again = predicate.recheck.model_copy(update={"agreed": predicate.recheck.rollouts - 1})
+    found = changed(runs, "good", "spot_check = true\nrecheck = true", predicate={"spot_check": spot, "recheck": again})
+    assert [each.rule for each in found] == ["spot_check", "recheck"]
+    assert says(found[0].found, "20 refuted: robustness")
+    assert says(found[1].found, "2 of 3")
+
+
+def test_evidence_from_the_future_has_no_age(runs: Path) -> None:
+    assert not changed(runs, "sample", 'max_age = "30d"', age=-DAY / 2)
+    (found,) = changed(runs, "sample", 'max_age = "30d"', age=-2 * DAY)
+    assert found.rule == "max_age"
+
+
+def test_only_the_assumptions_of_the_first_claim_count(runs: Path) -> None:
+    policy = 'assumptions = { "*" = ["derived", "assumed", "not refuted"] }'
+    refuted = tuple(
+        each.model_copy(update={"status": "refuted"}) for each in subject_of(runs, "sample").predicate.assumptions
+    )
+    first, *_ = refuted
+    assert len(changed(runs, "sample", policy, predicate={"assumptions": refuted})) == len(refuted)
+    (found,) = changed(runs, "sample", policy, predicate={"assumptions": refuted}, claim={"assumptions": (first.id,)})
+    assert says(found.expected, first.id)
+
+
+def subject_of(runs: Path, name: str) -> Finished:
+    (runs / "policy.toml").write_text("verified = false")
+    found = read_subject(runs / name, load_policy(runs / "policy.toml"), None, lambda *_: None).campaign
+    assert found is not None
+    return found
+
+
+def test_a_certificate_that_was_edited_after_its_signature_is_not_signed(runs: Path, tmp_path: Path) -> None:
+    edited = Path(shutil.copytree(runs / "sample", tmp_path / "edited"))
+    path = edited / files.CERTIFICATE
+    path.write_bytes(path.read_bytes() + b" ")
+    (found,) = failed(judge(runs, 'verified = false\nsigned_by = "alice.pub"', str(edited)))
+    assert found.rule == "signed_by"
+    assert says(found.found, "certificate.json not signed")
+
+
 def test_a_requirement_is_shown_by_any_of_the_campaigns(runs: Path) -> None:
     policy = 'requirements = ["R-1", "high"]\nverdict = "any"\nat_most = 0.2'
     *_, found = judge(runs, policy, "sample", "several")
@@ -149,9 +232,12 @@ def test_a_requirement_is_shown_by_any_of_the_campaigns(runs: Path) -> None:
 def test_the_whole_specification_shows_each_of_its_requirements(runs: Path) -> None:
     parts = [{"name": "low", "formula": "value >= 0", "id": "R-1"}, {"name": "lower", "formula": "value >= -0.1"}]
     whole = robustness(RIGOROUS, name="whole", specification=None, specifications=parts, composition="single")
-    if not (runs / "whole").exists():
-        assert simulate(runs / "whole", whole, slope, noisy=False)
+    assert simulate(runs / "whole", whole, slope, noisy=False)
     assert not failed(judge(runs, 'requirements = ["R-1", "lower"]', "whole"))
+    claims = subject_of(runs, "whole").predicate.claims
+    whole_alone = tuple(each for each in claims if each.requirement is None)
+    assert whole_alone
+    assert not changed(runs, "whole", 'requirements = ["R-1", "lower"]', predicate={"claims": whole_alone})
 
 
 def test_nothing_of_a_campaign_counts_that_is_not_verified(runs: Path, tmp_path: Path) -> None:
@@ -252,7 +338,8 @@ def test_sarif_names_the_line_of_the_campaign_file(runs: Path, tmp_path: Path) -
     place = results["counterexample"]["locations"][0]["physicalLocation"]
     assert place["artifactLocation"]["uri"].endswith("bad.toml")
     assert place["region"]["startLine"] == 3
-    without = json.loads(to_sarif(judge(runs, "", "bad"), []))["runs"][0]["results"][0]
+    file.rename(tmp_path / "good.toml")
+    without = json.loads(to_sarif(judge(runs, "", "bad"), [tmp_path / "good.toml"]))["runs"][0]["results"][0]
     assert without["locations"][0]["physicalLocation"]["artifactLocation"]["uri"].endswith("bad/certificate.json")
 
 
