@@ -120,9 +120,20 @@ def _row(*cells: str) -> str:
 
 
 def _cell(text: str) -> str:
-    """Return a text that neither ends a cell nor is a tag."""
-    marked = html.escape(one_line(text), quote=False)
-    return "".join(f"\\{each}" if each in "|*_[]\\" else each for each in marked)
+    """Return a text that neither ends a cell nor is a tag; what is between two backticks stays code.
+
+    >>> print(_cell("a_b < 1: `at_most` | x"))
+    a\\_b &lt; 1: `at_most` \\| x
+    """
+    parts = one_line(text).split("`")
+    if len(parts) % 2 == 0:  # a backtick without its twin begins no code
+        return "\\`".join(map(_marked, parts))
+    return "`".join(part.replace("|", "\\|") if place % 2 else _marked(part) for place, part in enumerate(parts))
+
+
+def _marked(text: str) -> str:
+    escaped = html.escape(text, quote=False)
+    return "".join(f"\\{each}" if each in "|*_[]\\" else each for each in escaped)
 
 
 def to_sarif(judgements: Sequence[Judgement], campaigns: Sequence[Path]) -> str:

@@ -325,6 +325,11 @@ def test_junit_and_markdown_survive_any_text(runs: Path) -> None:
     assert row.replace("\\|", "").count("|") == 6
 
 
+def test_code_in_markdown_stays_as_it_is_written() -> None:
+    row = to_markdown([Judgement("a_b", (Finding("verdict", "`at_most`", "`<b>", "`x|y`", passed=False),))])
+    assert row.splitlines()[4] == "| a\\_b | verdict | `at_most` | \\`&lt;b&gt; | `x\\|y` |"
+
+
 def test_sarif_names_the_line_of_the_campaign_file(runs: Path, tmp_path: Path) -> None:
     file = tmp_path / "bad.toml"
     file.write_text('name = "bad"\n\nspecification = "value >= 0"\n')
