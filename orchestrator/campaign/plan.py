@@ -111,6 +111,8 @@ class ProblemPlan:
     """Names of the requirements that are claimed beside the whole specification, where starts are drawn."""
     at_every_moment: bool = False
     """Whether claims hold after every test, however the campaign ends."""
+    may_end_early: bool = False
+    """Whether outcomes may end it before its budget, besides a tolerance."""
     requirement: str | None = None
     """The one requirement that it is about; None for the whole specification."""
     parts: tuple["ProblemPlan", ...] = ()
@@ -352,6 +354,7 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
         reports=_reports(spec, variants) if controlled and spec.reported else None,
         requirements=tuple(each.name for each in config.specifications),
         at_every_moment=config.at_every_moment,
+        may_end_early=config.may_end_early,
         parts=tuple(parts),
         falsify=config.falsify,
         reaches={None: reach_of(config.formula, spec.after_end, config.beyond)}

@@ -43,7 +43,7 @@ def seeds_of(header: Header, series: RolloutId, tests: Integers, replicates: Int
         pairs = zip(tests.tolist(), replicates.tolist(), strict=True)
         return [rollout_seed(header, series._replace(test=test, replicate=each)) for test, each in pairs]
     variants = np.full(tests.shape, variant_number(header.spec, series.variant), dtype=np.uint32)
-    entropy = header.config.seed, int(header.config_sha256, 16)
+    entropy = _identity(header)
     words = [tests.astype(np.uint32), variants, replicates.astype(np.uint32)]
     found = first_states(entropy, [zlib.crc32(series.problem.encode())], words)
     return [int(each) for each in found >> np.uint64(11)]
@@ -117,9 +117,13 @@ def _numbered(series: list[str], tests: int, rollout: RolloutId) -> int:
 
 
 def _sequence(header: Header, problem: str, *place: int) -> np.random.SeedSequence:
-    # With the digest of the file no two campaigns share rollouts. By name: the order of the problems changes none.
-    identity = header.config.seed, int(header.config_sha256, 16)
-    return np.random.SeedSequence(identity, spawn_key=(zlib.crc32(problem.encode()), *place))
+    # By name: the order of the problems changes none.
+    return np.random.SeedSequence(_identity(header), spawn_key=(zlib.crc32(problem.encode()), *place))
+
+
+def _identity(header: Header) -> tuple[int, int]:
+    # With the digest of the file no two campaigns share rollouts, unless both are told to.
+    return header.config.seed, int(header.config.draws or header.config_sha256, 16)
 
 
 BITS = 64

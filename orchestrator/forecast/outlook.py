@@ -93,14 +93,14 @@ def left_in_words(config: CampaignConfig, problem: Problem, left: Guess) -> str:
     """Return the remaining tests in words; a number of samples is no guess.
 
     >>> from types import SimpleNamespace
-    >>> left_in_words(SimpleNamespace(at_every_moment=False), SampleProblem.model_construct(), Guess(9, 9, 9))
+    >>> left_in_words(SimpleNamespace(may_end_early=False), SampleProblem.model_construct(), Guess(9, 9, 9))
     '9 samples'
     """
     words = count_words(left)
     if not isinstance(problem, SampleProblem):
         about = "" if problem.alpha is None else "about "
         return f"{about}{words} test{'' if words == '1' else 's'}"
-    most = "at most " if config.at_every_moment else ""
+    most = "at most " if config.may_end_early else ""
     return f"{most}{words} sample{'' if words == '1' else 's'}"
 
 

@@ -73,8 +73,10 @@ def _rules_of_problems(config: CampaignKeys) -> Iterator[Callable[[], None]]:
 
 def _rules_of_claims(config: CampaignKeys) -> Iterator[Callable[[], None]]:
     """Yield the rules of all problems together, and of what is claimed."""
-    if config.at_every_moment:
+    if config.may_end_early:
         yield partial(_check_until_counterexample, config, config.problems[0])
+    if config.anytime:
+        yield partial(_check_anytime, config)
     if config.falsify is not None and config.falsify.over == "disturbances":
         yield partial(_check_over, config, config.problems[0])
     if config.falsify is not None and config.falsify.scale is not None:
@@ -166,6 +168,14 @@ def _check_objective(config: CampaignKeys, problem: Problem) -> None:
         raise ValueError(f"horizon: problem {problem.name!r} needs a rollout longer than 0 s")
     if objective.measured == "gap" and config.gap_of(problem) is None:
         raise ValueError('gap: required by problem \'sim_gap\', e.g. { kind = "signal_sup", column = "phi" }')
+
+
+def _check_anytime(config: CampaignKeys) -> None:
+    if not any(isinstance(problem, SampleProblem) for problem in config.problems):
+        raise ValueError(
+            "anytime: only for method 'sample'; the bounds of 'rigorous' and 'scenario' hold after every test anyway; "
+            "remove this key"
+        )
 
 
 def _check_until_counterexample(config: CampaignKeys, problem: Problem) -> None:
@@ -327,14 +337,17 @@ def _check_asked(config: CampaignKeys, where: str, claim: ClaimRequest, problem:
         raise ValueError(f"clip: required by {where}, the bound of a mean: give [low, high]")
     if problem.jointly and (claim.delta or claim.quantity in UP_TO_CHANCE):
         raise ValueError(f"jointly: {where} has a failure probability of its own; remove one of the two")
-    # With `until_counterexample` their number depends on the outcomes.
-    if config.at_every_moment and claim.quantity in UP_TO_CHANCE:
+    if not config.at_every_moment:
+        return
+    # The number of samples depends on the outcomes.
+    cause = next(key for key in ("anytime", "until_counterexample", "falsify") if getattr(config, key))
+    if claim.quantity in UP_TO_CHANCE:
         raise ValueError(
             f"{where}.quantity: {claim.quantity!r} needs a number of samples that is fixed beforehand; remove this "
-            "claim, or until_counterexample"
+            f"claim, or {cause}"
         )
-    if config.at_every_moment and claim.quantity in ORDERED and config.clip is None:
-        raise ValueError(f"clip: required by {where} with until_counterexample: give [low, high]")
+    if claim.quantity in ORDERED and config.clip is None:
+        raise ValueError(f"clip: required by {where} with {cause}: give [low, high]")
 
 
 def _check_number(config: CampaignKeys, claim: DrawnClaim, problem: SampleProblem) -> None:
@@ -468,7 +481,7 @@ def _check_recorded(config: CampaignKeys) -> None:
                 f"max_tests: {size:,} is not allowed: there are {len(tests):,} logs, and to leave some out would be a "
                 "choice; remove this key"
             )
-    for key in ("falsify", "until_counterexample"):
+    for key in ("falsify", "until_counterexample", "anytime"):
         if getattr(config, key):
             raise ValueError(f"{key}: all logs are there before the first one is read; remove this key")
     if config.replicates != 1:

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator
 
-from ..base import Model
+from ..base import Model, key_if_given
 from ..ranges import LARGEST_BATCH
 from ..values import Beyond
 from .composition import ComposedClaim, Rule, is_composed
@@ -131,6 +131,12 @@ class CampaignKeys(CampaignSize):
         description="end with the first test, in test order, of which a rollout violates the specification; for one "
         "problem of the robustness, not with method `paper`",
     )
+    anytime: bool = Field(
+        default=False,
+        exclude_if=lambda anytime: not anytime,
+        description="of drawn starts: claims hold after every test, and not at `max_tests` alone, so that results may "
+        "decide to continue beyond it; their bounds are wider",
+    )
     on_refuted: Literal["continue", "stop"] = Field(
         default="continue",
         exclude_if=lambda choice: choice == "continue",
@@ -245,6 +251,11 @@ class CampaignKeys(CampaignSize):
         description="what is claimed, the answer to the question of the file first",
     )
 
+    draws: str | None = key_if_given(
+        "campaigns with the same text draw the same starts, and give the same seeds to rollouts with the same "
+        "numbers; by default both follow from the whole file. `perfbound compare` writes it",
+        pattern=r"^[0-9a-f]{64}$",
+    )
     recorded: tuple[RecordedTest, ...] = Field(
         default=(),
         max_length=MAX_LOGS,
@@ -260,7 +271,12 @@ class CampaignKeys(CampaignSize):
 
     @property
     def at_every_moment(self) -> bool:
-        """Whether claims hold after every test: outcomes may end the campaign, or a search may be continued."""
+        """Whether claims hold after every test: outcomes may end the campaign, or it may be continued."""
+        return self.may_end_early or self.anytime
+
+    @property
+    def may_end_early(self) -> bool:
+        """Whether outcomes may end the campaign before its budget, besides a tolerance."""
         return self.until_counterexample or self.falsify is not None
 
     @property

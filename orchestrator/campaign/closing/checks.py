@@ -151,7 +151,7 @@ def cost(header: Header, plans: Mapping[str, ProblemPlan]) -> list[str]:
         least = spot.count(starts)
         more = spot.count(spot.most_tests) - least
         followups = f" and at most {more:,} that follow up" if more else ""
-        unless = " (not after a counterexample)" if header.config.at_every_moment else ""
+        unless = " (not after a counterexample)" if header.config.may_end_early else ""
         parts.append(f"a spot check of {starts:,} starts with {least:,} rollouts{followups}{unless}")
     if Recheck.wanted(header):
         parts.append(f"a recheck of at most {header.config.recheck:,} rollouts")

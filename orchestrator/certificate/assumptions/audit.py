@@ -103,6 +103,8 @@ def assumptions(
         if all(accounts[name].plan.problem.method == "paper" for name in PAIR):
             found.append(assumption("independence", "derived"))
         found.append(assumption("accounting", "derived"))
+    if ledger.config.draws is not None:
+        found.append(assumption("common_draws", "assumed"))
     extended = {"fixed_beforehand": "fixed_beforehand_extended"} if ledger.extensions else {}
     if repeated == "session":
         found.append(assumption("defined_in_session", "assumed"))

@@ -284,6 +284,10 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "depends on the outcomes, and the bounds are valid after every sample. {at_zero} values are exactly 0, which "
         "shows neither that the specification is met nor that it is violated, and count as violations.",
     },
+    "common_draws": {
+        "assumed": "starts and seeds follow from `draws` and not from the whole file, so that other campaigns have the "
+        "same ones; that no result of such a campaign decided a key of this file is assumed.",
+    },
     "limit_agrees": {
         "refuted": "the bound is {ell} and its limit is at most {limit}, each at its own confidence: they contradict "
         "each other, so the rollouts of one start do not have one law.",

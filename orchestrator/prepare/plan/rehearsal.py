@@ -158,7 +158,7 @@ def expected_tests(plan: ProblemPlan, found: Rehearsal | None) -> tuple[Guess, s
     most, alpha = plan.budget, plan.problem.alpha
     if plan.falsify is not None and plan.falsify.until == "budget":
         return Guess(most, most, most), "its budget"
-    if plan.at_every_moment:
+    if plan.may_end_early:
         clusters = None if plan.falsify is None else plan.falsify.clusters
         earlier = "a counterexample ends" if clusters is None else f"{clusters} clusters of failing starts end"
         return Guess(most, 1, most), f"its budget; {earlier} it earlier"

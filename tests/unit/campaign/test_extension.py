@@ -226,8 +226,9 @@ def test_a_noisy_problem_keeps_its_window(tmp_path: Path) -> None:
     assert not verified(tmp_path / "run")
 
 
-def test_drawn_starts_whose_bounds_hold_after_every_sample(tmp_path: Path) -> None:
-    config = campaign({"method": "sample"}, until_counterexample=True, max_tests=20, clip=[-1, 1])
+@pytest.mark.parametrize("key", ["until_counterexample", "anytime"])
+def test_drawn_starts_whose_bounds_hold_after_every_sample(tmp_path: Path, key: str) -> None:
+    config = campaign({"method": "sample"}, max_tests=20, clip=[-1, 1], **{key: True})
     simulate(tmp_path / "run", config, wave, noisy=False)
     first = predicate(text(tmp_path / "run"))["claims"][0]["bound"]
     extended(tmp_path / "run", config, 40)

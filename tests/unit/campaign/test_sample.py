@@ -367,6 +367,8 @@ def test_a_delta_that_is_next_to_nothing_is_no_certainty(tmp_path: Path) -> None
             {"until_counterexample": True, "clip": None, "claims": LEVELS[1:2]},
             "clip: required claims.0 until_counterexample",
         ),
+        ({"anytime": True, "claims": LEVELS[-1:]}, "claims.0.quantity: 'next_rollout' anytime"),
+        ({"anytime": True, "clip": None, "claims": LEVELS[1:2]}, "clip: required claims.0 anytime"),
         ({"problem": {"resolution": 5}}, "resolution: 'sample'"),
         ({"problem": {"sense": "min"}}, "sense: has no meaning in method 'sample'"),
     ],

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from perfbound.orchestrator.campaign.seeds import first_node, rollout_seed, rollout_seeds
+from perfbound.orchestrator.campaign.seeds import first_node, rollout_seed, rollout_seeds, uniform
 from perfbound.schemas.batch import batch_rollouts
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.result.facts import Header
@@ -110,6 +110,21 @@ def test_another_campaign_has_other_short_seeds(change: dict[str, Any]) -> None:
 def test_another_campaign_has_other_seeds(change: dict[str, object]) -> None:
     rollout = RolloutId("sim_gap", 0, "true", 0)
     assert rollout_seed(PAPER, rollout) != rollout_seed(header(**change), rollout)
+
+
+@pytest.mark.parametrize("bits", [53, 32])
+def test_campaigns_with_the_same_draws_have_the_same_starts_and_seeds(bits: int) -> None:
+    one, other, third = (
+        short(bits, draws=text * 64, specification=f"always (phi <= {limit})", seed=seed)
+        for text, limit, seed in (("a", 0.8, 1), ("a", 0.9, 1), ("b", 0.8, 1))
+    )
+    rollout = RolloutId("sim_gap", 0, "true", 0)
+    assert one.config_sha256 != other.config_sha256
+    assert rollout_seed(one, rollout) == rollout_seed(other, rollout) != rollout_seed(third, rollout)
+    assert rollout_seeds(one, rollout, 5, 2) == rollout_seeds(other, rollout, 5, 2)
+    assert first_node(one, "sim_gap", 441) == first_node(other, "sim_gap", 441)
+    assert (uniform(one, "sim_gap.starts", range(3), 2) == uniform(other, "sim_gap.starts", range(3), 2)).all()
+    assert rollout_seed(short(bits, draws="a" * 64, seed=2), rollout) != rollout_seed(one, rollout)
 
 
 @pytest.mark.parametrize("key", ["visual", "max_attempts", "hung_after", "deadline"])

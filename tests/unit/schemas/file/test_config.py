@@ -24,6 +24,7 @@ def test_the_text_of_a_campaign_is_the_same_campaign(path: Path, tmp_path: Path)
 
 DECIDE = {
     *(
+        "anytime",
         "batch",
         "beyond",
         "candidates",
@@ -32,6 +33,7 @@ DECIDE = {
         "composition",
         "control",
         "disturbances",
+        "draws",
         "falsify",
         "gap",
         "horizon",
