@@ -2,12 +2,15 @@
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import click
 
 from ...schemas import atomic
 from .early import check_directory
+from .exits import resumable
 from .group import RUN_DIRECTORY, cli, output_console
+from .link_options import link_of, link_options
 from .stderr import STDERR
 
 FAILED, UNREADABLE = 3, 1
@@ -76,4 +79,92 @@ def gate(
     if any(each.fault for each in found):
         sys.exit(UNREADABLE)
     if not outputs.passed(found):
+        sys.exit(FAILED)
+
+
+def _equal(_context: click.Context, _parameter: click.Parameter, given: tuple[str, ...]) -> dict[str, float]:
+    """Return the differences that do not matter, by their quantities."""
+    from typing import get_args  # noqa: PLC0415
+
+    from ...schemas.result.comparison import ComparedQuantity  # noqa: PLC0415
+
+    found = dict[str, float]()
+    for each in given:
+        quantity, _, number = each.partition("=")
+        try:
+            found[quantity] = float(number)
+        except ValueError:
+            found[quantity] = -1.0
+        if quantity not in get_args(ComparedQuantity) or not 0.0 < found[quantity] < float("inf"):
+            names = ", ".join(get_args(ComparedQuantity))
+            raise click.BadParameter(f"{each!r}: give QUANTITY=NUMBER, a number above 0 of {names}")
+    return found
+
+
+@cli.command()
+@click.argument("a", type=click.Path(path_type=Path, exists=True), metavar="A")
+@click.argument("b", type=click.Path(path_type=Path, exists=True), metavar="B")
+@click.option("--out", type=RUN_DIRECTORY, required=True, help="Folder of the comparison.")
+@click.option(
+    "--pairs",
+    type=click.IntRange(2, 1_000_000),
+    default=1000,
+    show_default=True,
+    help="Starts, each with a rollout of A and one of B; with --stop-when the largest number.",
+)
+@click.option(
+    "--delta",
+    type=click.FloatRange(0, 1, min_open=True, max_open=True),
+    default=0.05,
+    show_default=True,
+    help="Failure probability of all intervals together.",
+)
+@click.option(
+    "--equal",
+    multiple=True,
+    metavar="QUANTITY=NUMBER",
+    callback=_equal,
+    help="A difference that does not matter, of `mean`, `failure_probability` or `worst_start`; may be repeated.",
+)
+@click.option("--stop-when", type=click.Choice(["decided"]), help="Stop as soon as no verdict is UNDECIDED.")
+@click.option(
+    "--fail-on",
+    type=click.Choice(["worse", "undecided"]),
+    multiple=True,
+    help="Exit with 3 where a difference has this verdict; may be repeated.",
+)
+@click.option("--seed", type=click.IntRange(0, 2**53 - 1), default=None, help="Other draws.  [default: that of A]")
+@click.option("--workers", type=click.IntRange(0, 256), default=2, show_default=True, help="Local worker processes.")
+@link_options
+def compare(
+    *,
+    a: Path,
+    b: Path,
+    out: Path,
+    pairs: int,
+    delta: float,
+    equal: dict[Any, float],
+    stop_when: str | None,
+    fail_on: tuple[str, ...],
+    seed: int | None,
+    workers: int,
+    **options: Any,
+) -> None:
+    """Compare the systems of two campaigns by new rollouts in pairs: is B worse than A?
+
+    A and B are campaign files, or run directories, whose campaigns are taken. The same command continues a comparison.
+    """
+    from ..release.compare.systems import compared, paired  # noqa: PLC0415
+    from ..run.options import RunOptions  # noqa: PLC0415
+
+    systems = paired(compared(a), compared(b), seed)
+    from ..release.compare import outputs  # noqa: PLC0415
+    from ..release.compare.conduct import Terms  # noqa: PLC0415
+    from ..release.compare.conduct import compare as conduct  # noqa: PLC0415
+
+    terms = Terms(pairs, delta, equal, until_decided=stop_when is not None)
+    with resumable(out, "the same command"):
+        found = conduct(systems, out, terms, RunOptions(workers, link_of(**options)), STDERR.console)
+    outputs.print_comparison(found, output_console())
+    if {each.verdict.lower() for each in found.differences} & set(fail_on):
         sys.exit(FAILED)

@@ -10,9 +10,9 @@
 | delta   | `delta`     | failure probability of all intervals together                                | ()     | -    |
 
 A pair has one start and one seed. Pairs are independent with one law, so that a mean of b_i - a_i, which lies within
-high - low of 0, has an interval that holds after every pair, see `mean_interval`: what both rollouts share is in none of
-the differences. A failure counts 1, so that the difference of two failure probabilities is the mean of 1, 0 or -1, and
-only pairs of which one fails count.
+high - low of 0, has an interval that holds after every pair, see `mean_interval`: what both rollouts share is in none
+of the differences. A failure counts 1, so that the difference of two failure probabilities is the mean of 1, 0 or -1,
+and only pairs of which one fails count.
 
 Worst listed start: min_k (mu_k + D_k) - min_k mu_k. Let M = min_k u_k, which no least mu is above. Where start k is the
 worst of B, the difference is mu_k + D_k - min_j mu_j, at least d_k + max(0, l_k - M): a start that is surely not the
@@ -42,6 +42,10 @@ class Pairs:
     """Of the robustness."""
     start: Sequence[int] | None = None
     """Number of the start of each pair, where starts are listed."""
+    listed: int = 0
+    """How many are listed."""
+    exact: bool = False
+    """Whether no rollout depends on its seed, so that one pair shows all of a start."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,14 +96,18 @@ def worst_start_difference(pairs: Pairs, delta: float) -> Interval:
     assert pairs.clip is not None, "a mean has no bound without"
     assert pairs.start is not None, "of listed starts"
     numbers, width = np.array(pairs.start), _width(pairs)
-    present = range(int(numbers.max()) + 1)
     # Half of delta for A, half for the differences; each start has its part, as all are read at once.
-    each = delta / 2 / len(present)
+    each = delta / 2 / pairs.listed
     middle = (pairs.clip[0] + pairs.clip[1]) / 2
-    at = [numbers == k for k in present]
-    of_a = np.array([mean_interval(pairs.a[here], pairs.clip, each, about=middle) for here in at])
-    apart = [mean_interval(pairs.b[here] - pairs.a[here], (-width, width), each, about=0.0) for here in at]
-    found = np.array(apart)
+
+    def interval(values: Floats, ends: tuple[float, float], about: float) -> tuple[float, float]:
+        if pairs.exact and len(values):
+            return float(values[0]), float(values[0])
+        return mean_interval(values, ends, each, about=about)
+
+    at = [numbers == k for k in range(pairs.listed)]
+    of_a = np.array([interval(pairs.a[here], pairs.clip, middle) for here in at])
+    found = np.array([interval(pairs.b[here] - pairs.a[here], (-width, width), 0.0) for here in at])
     least = of_a[:, 1].min()
     above = np.maximum(of_a[:, 0] - least, 0.0)
     lower = round_down(float((found[:, 0] + above).min()) - 1e-12 * width)

@@ -1,0 +1,159 @@
+"""A comparison from its first pair to its document: both campaigns grow together, and what they show is judged."""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from ....schemas.atomic import write_whole
+from ....schemas.errors import PerfboundError
+from ....schemas.result.comparison import ComparedQuantity, ComparedSystem, Comparison
+from ...certificate import files
+from ...mathematics.gp.kernels import Floats
+from ...run.directory import revision, stored_differently
+from ...run.options import RunOptions
+from ...run.session import resume_campaign, start_campaign
+from ...store.export_tables import robustness_unit
+from ...store.progress import read_progress
+from ...store.read import stored_header
+from ...store.robustness import read_values
+from ...store.rows import DATABASE
+from .differences import Pairs, differences, overall
+from .systems import FIRST, Compared, in_common, looks
+
+COMPARISON = "comparison.json"
+SIDES = ("a", "b")
+"""The run directories of both systems in the folder of a comparison."""
+
+
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """What a comparison was asked for."""
+
+    most_pairs: int
+    delta: float
+    equal: Mapping[ComparedQuantity, float]
+    """Differences that do not matter."""
+    until_decided: bool = False
+    """Whether it ends as soon as no verdict is UNDECIDED."""
+
+
+def compare(systems: Sequence[Compared], out: Path, terms: Terms, options: RunOptions, console: Console) -> Comparison:
+    """Simulate both systems in pairs until the terms are met, and write what follows; the same call continues.
+
+    Raises:
+        PerfboundError: another comparison is in `out`, or a campaign cannot be run.
+        Stopped: a signal arrived.
+
+    """
+    first = min(FIRST, terms.most_pairs) if terms.until_decided else terms.most_pairs
+    both = _begun(systems, out, first)
+    found = None
+    for pairs in looks(terms.most_pairs, first) if terms.until_decided else [terms.most_pairs]:
+        for directory, system in both.items():
+            _grow(directory, system, pairs, replace(options, system=system.reference), console)
+        found = judged(both, pairs, terms)
+        if all(each.verdict != "UNDECIDED" for each in found.differences):
+            break
+    assert found is not None, "there is a last look"
+    write_whole(out / COMPARISON, (found.model_dump_json(indent=2) + "\n").encode())
+    return found
+
+
+def _begun(systems: Sequence[Compared], out: Path, first: int) -> dict[Path, Compared]:
+    """Return both systems by their run directories, with the number of tests with which these have begun."""
+    directories = [out / side for side in SIDES]
+    begun = [each for each in directories if (each / DATABASE).exists()]
+    # It decides seeds of fewer than 53 bits, so that both begin with the same one.
+    tests = stored_header(begun[0]).config.max_tests if begun else first
+    found = {
+        directory: replace(system, config=system.config.model_copy(update={"max_tests": tests}))
+        for directory, system in zip(directories, systems, strict=True)
+    }
+    for directory in begun:
+        if unlike := stored_differently(directory, found[directory].config):
+            raise PerfboundError(f"{out}: the comparison here differs from this one: {unlike}; choose another --out")
+    return found
+
+
+def _grow(directory: Path, system: Compared, pairs: int, options: RunOptions, console: Console) -> None:
+    """Bring the campaign of one system to so many tests at least."""
+    if not (directory / DATABASE).exists():
+        start_campaign(system.config, system.given, directory, options, console)
+    elif files.read(directory) is None:
+        resume_campaign(directory, options, console)
+    if read_progress(directory).problems[0].tests < pairs:
+        resume_campaign(directory, options, console, pairs)
+
+
+def judged(both: Mapping[Path, Compared], pairs: int, terms: Terms) -> Comparison:
+    """Return what the first pairs of two finished campaigns show.
+
+    Raises:
+        PerfboundError: a database cannot be read, or the two have not drawn the same starts.
+
+    """
+    recorded = recorded_pairs(both, pairs)
+    found = differences(recorded, terms.delta, terms.equal)
+    a, b = (_document(*each) for each in both.items())
+    one, other = both.values()
+    return Comparison(
+        a=a,
+        b=b,
+        specification=one.config.formula or "",
+        clip=recorded.clip,
+        pairs=len(recorded.a),
+        most_pairs=terms.most_pairs,
+        common=in_common(one, other),
+        probability=1.0 - terms.delta,
+        differences=found,
+        verdict=overall([each.verdict for each in found]),
+    )
+
+
+def recorded_pairs(both: Mapping[Path, Compared], pairs: int) -> Pairs:
+    """Return the robustness of the first pairs, in the order of their numbers.
+
+    Raises:
+        PerfboundError: a database cannot be read, or the two have not drawn the same starts.
+
+    """
+    (a, starts), (b, others) = (_recorded(*each, pairs) for each in both.items())
+    if not np.array_equal(starts, others):
+        place = " and ".join(map(str, both))
+        raise PerfboundError(f"{place}: not simulated from the same starts; choose another --out")
+    one = next(iter(both.values()))
+    header, numbers = one.header, {row: number for number, row in enumerate(one.listed)}
+    return Pairs(
+        a,
+        b,
+        header.config.clip,
+        robustness_unit(header.config, header.spec),
+        start=[numbers[tuple(row)] for row in starts.tolist()] if numbers else None,
+        listed=len(numbers),
+        exact=not any(each.header.claimed_variant in each.spec.noisy for each in both.values()),
+    )
+
+
+def _recorded(directory: Path, system: Compared, pairs: int) -> tuple[Floats, Floats]:
+    """Return robustness (n,) and starts (n, p) of the first tests of a campaign."""
+    header = system.header
+    problem = header.config.problems[0].name
+    blocks = [each for each in read_values(directory, header.claimed_variant, [problem]) if each.series == problem]
+    values = np.concatenate([np.array(each.robustness) for each in blocks])
+    starts = np.concatenate([np.frombuffer(each.starts).reshape(each.tests, -1) for each in blocks])
+    return values[:pairs], starts[:pairs]
+
+
+def _document(directory: Path, system: Compared) -> ComparedSystem:
+    certificate = (directory / files.CERTIFICATE).read_bytes()
+    return ComparedSystem(
+        campaign=str(system.given),
+        system=system.reference,
+        revision=revision((system.given if system.given.is_dir() else system.given.parent).absolute()),
+        system_sha256=system.spec.digest,
+        certificate_sha256=hashlib.sha256(certificate).hexdigest(),
+    )

@@ -1,0 +1,84 @@
+"""A comparison for a terminal."""
+
+from collections.abc import Mapping
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from ....schemas.amounts import counted
+from ....schemas.errors import one_line
+from ....schemas.result.comparison import ComparedQuantity, Comparison, ComparisonVerdict, Difference
+from ...certificate.words.bound_text import as_required, clip_words, in_unit, outward
+from ...certificate.words.console_lines import hanging, heading, plain_line
+
+NAMES: Mapping[ComparedQuantity, str] = {
+    "mean": "mean robustness",
+    "failure_probability": "failure probability",
+    "worst_start": "mean robustness at the worst listed start",
+}
+STYLES: Mapping[ComparisonVerdict, str] = {
+    "WORSE": "bold red",
+    "UNDECIDED": "bold yellow",
+    "BETTER": "bold green",
+    "EQUAL": "green",
+}
+CONCLUSIONS: Mapping[ComparisonVerdict, str] = {
+    "WORSE": "B IS WORSE",
+    "UNDECIDED": "UNDECIDED",
+    "BETTER": "B IS BETTER",
+    "EQUAL": "EQUAL",
+}
+
+
+def print_comparison(found: Comparison, console: Console) -> None:
+    """Print both systems, a line for each difference with its verdict, and the result last."""
+    for name, each in (("A", found.a), ("B", found.b)):
+        commit = f", {each.revision}" if each.revision else ""
+        plain_line(console, f"{name}  {one_line(each.campaign)}{commit}")
+    if found.a.system_sha256 == found.b.system_sha256:
+        plain_line(console, "   Both are one system, with the same sources.")
+    *others, last = found.common
+    shared = f"{', '.join(others)} and {last}" if others else last
+    plain_line(console, f"   {counted(found.pairs, 'pair')} of rollouts with the same {shared}")
+    console.print()
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for title in ("", "A", "B", "B - A", "verdict"):
+        table.add_column(title, justify="left" if title in ("", "verdict") else "right", no_wrap=True)
+    for each in found.differences:
+        table.add_row(*_row(each))
+    console.print(table)
+    console.print()
+    hanging(console, Text(), " ".join(sentences(found)))
+    heading(console, conclusion(found), STYLES[found.verdict])
+
+
+def _row(found: Difference) -> tuple[Text, ...]:
+    unit = f", {one_line(found.unit)}" if found.unit not in ("", "1") else ""
+    interval = f"{outward(found.lower, '>=')} to {outward(found.upper, '<=')}"
+    cells = (f"{NAMES[found.quantity]}{unit}", f"{found.a:.4f}", f"{found.b:.4f}", interval)
+    return *map(Text, cells), Text(verdict_words(found), STYLES[found.verdict])
+
+
+def verdict_words(found: Difference) -> str:
+    """Return the verdict on one difference, with what does not matter where it is one of equality."""
+    if found.verdict != "EQUAL" or found.equal_within is None:
+        return found.verdict
+    return f"EQUAL within {in_unit(as_required(found.equal_within), found.unit)}"
+
+
+def sentences(found: Comparison) -> list[str]:
+    """Return what the intervals mean, and what they rest on."""
+    chance = f"With probability at least {outward(found.probability, '>=')}"
+    lines = [f"{chance} all intervals contain their differences, after every pair at once; A and B are estimates."]
+    if found.clip is not None:
+        lines.append(f"Means are those of the robustness {clip_words(found.clip)}.")
+    else:
+        lines.append("Without a clip no mean has a bound.")
+    return lines
+
+
+def conclusion(found: Comparison) -> str:
+    """Return the result in a line."""
+    where = [NAMES[each.quantity] for each in found.differences if each.verdict == found.verdict]
+    return f"{CONCLUSIONS[found.verdict]}: {' and '.join(where)}"
