@@ -31,6 +31,8 @@ JUDGED: dict[str, tuple[str, ...]] = {
     "audit": ("refuted", "spread"),
     "kriging-audit": ("bound", "refuted"),
     "law-audit": ("bound", "norm", "law"),
+    "comparison": ("false",),
+    "t-test": (),
     "paper": (),
 }
 """The statements of a kind that must not fail more often than claimed; `failed` is any of the others."""
@@ -294,6 +296,30 @@ TABLES: dict[str, tuple[str, list[Column]]] = {
             ("verdict", lambda found: _verdict(found) if found.judged else "-"),
         ],
     ),
+    "comparison": (
+        "`perfbound compare`: comparisons in which an interval was ever false",
+        [
+            ("pairs with", lambda found: found.row.law),
+            ("pairs", _of("pairs")),
+            ("claimed delta", _claimed),
+            CAMPAIGNS,
+            ("false", _sum("false")),
+            *RULED,
+            ("means decided", _share("decided")),
+            ("mean width of the mean's", _mean("width", 4)),
+        ],
+    ),
+    "t-test": (
+        "Contrast, not judged: Welch's t-test of two equal systems",
+        [
+            ("pairs with", lambda found: found.row.law),
+            ("pairs", _of("pairs")),
+            ("claimed delta", _claimed),
+            CAMPAIGNS,
+            ("significant at the end", _share("once")),
+            ("significant at some look", _share("peeking")),
+        ],
+    ),
     "paper": (
         "Contrast, not judged: method `paper`",
         [
@@ -397,6 +423,7 @@ NAMES = {
     ("scenario", "each"): "a bound of one start",
     ("scenario", "upper"): "bound on the limit of ell",
     ("sampling", "false"): "bound",
+    ("comparison", "false"): "interval",
     ("composition", "failed"): "any rule, or refutation",
     ("regions", "failed"): "box or refutation",
     ("requirements", "every"): "every requirement",

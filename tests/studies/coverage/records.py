@@ -21,6 +21,7 @@ MODULES = {
     "kriging-audit": "kriging",
     "controls": "controls.campaigns",
     "law-audit": "controls.wrong_laws",
+    "t-test": "comparison",
 }
 """Module of the campaigns of a kind, if it is not the module of its name."""
 

@@ -5,7 +5,17 @@ from typing import Any
 
 import numpy as np
 
-from tests.studies.coverage import composition, kriging, paper, regions, requirements, rigorous, sampling, scenario
+from tests.studies.coverage import (
+    comparison,
+    composition,
+    kriging,
+    paper,
+    regions,
+    requirements,
+    rigorous,
+    sampling,
+    scenario,
+)
 from tests.studies.coverage.controls import campaigns as controls
 from tests.studies.coverage.controls import wrong_laws
 from tests.studies.coverage.records import Chunk, Row, digest
@@ -25,6 +35,8 @@ CAMPAIGNS: dict[str, Callable[[Any, np.random.Generator], dict[str, float]]] = {
     "audit": rigorous.audited,
     "kriging-audit": kriging.campaign,
     "law-audit": wrong_laws.campaign,
+    "comparison": comparison.campaign,
+    "t-test": comparison.tested,
     "paper": paper.campaign,
 }
 
@@ -43,6 +55,8 @@ def all_rows() -> list[Row]:
         rigorous.audits,
         kriging.audits,
         wrong_laws.rows,
+        comparison.rows,
+        comparison.tests,
         paper.rows,
     )
     return [row for rows in makers for row in rows()]

@@ -14,7 +14,7 @@ from tests.studies.coverage.oracle import LEVEL, at_most
 RESULTS = Path(__file__).with_name("results")
 ORIGINS = "origins.csv"
 FIGURE = "images/coverage-audit.png"
-PARTS = ("claims", "audit", "laws", "contrast")
+PARTS = ("claims", "audit", "laws", "comparisons", "contrast")
 """The generated parts of the page."""
 
 Line = Mapping[str, str]
@@ -99,6 +99,7 @@ GROUPS: dict[str, Group] = {
         ("every requirement", "the first one", "the last one"),
     ),
     "sampling": Group("`sample`", _claim, "false", ("false",)),
+    "comparison": Group("`perfbound compare`", lambda line: line["pairs with"], "false", ("false",)),
 }
 """By kind, in the order of the page."""
 
@@ -128,7 +129,9 @@ def csv_text(lines: Sequence[Line]) -> str:
 
 def part(name: str, results: Path = RESULTS) -> str:
     """Return one generated part of the page with its marks."""
-    text = {"claims": _claims, "audit": _audit, "laws": _laws, "contrast": _contrast}[name](results)
+    text = {"claims": _claims, "audit": _audit, "laws": _laws, "comparisons": _comparisons, "contrast": _contrast}[
+        name
+    ](results)
     begin, end = marks(name)
     return f"{begin}\n\n{text}\n\n{end}"
 
@@ -243,6 +246,21 @@ def _laws(results: Path) -> str:
 
 def _count(line: Line, title: str) -> int:
     return round(float(line[title].removesuffix(" %")) / 100 * int(line["campaigns"]))
+
+
+def _comparisons(results: Path) -> str:
+    head = ["pairs with", "pairs", "comparisons", "false", "allowed", "means decided %", "t-test at the end %"]
+    head.append("t-test, every 50 pairs %")
+    tests = {line["pairs with"]: line for line in read("t-test", results)}
+    titles = ["pairs with", "pairs", "campaigns", "false", "allowed", "means decided"]
+    others = ["significant at the end", "significant at some look"]
+    cells = [
+        _plain(
+            [*(line[title] for title in titles), *(tests.get(line["pairs with"], {}).get(each, "") for each in others)]
+        )
+        for line in read("comparison", results)
+    ]
+    return table(head, cells)
 
 
 def _contrast(results: Path) -> str:
