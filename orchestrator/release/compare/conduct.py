@@ -24,7 +24,7 @@ from ...store.rows import DATABASE
 from .differences import Pairs, differences, overall
 from .systems import FIRST, Compared, in_common, looks
 
-COMPARISON = "comparison.json"
+COMPARISON, REPORT = "comparison.json", "comparison.html"
 SIDES = ("a", "b")
 """The run directories of both systems in the folder of a comparison."""
 
@@ -51,15 +51,17 @@ def compare(systems: Sequence[Compared], out: Path, terms: Terms, options: RunOp
     """
     first = min(FIRST, terms.most_pairs) if terms.until_decided else terms.most_pairs
     both = _begun(systems, out, first)
-    found = None
-    for pairs in looks(terms.most_pairs, first) if terms.until_decided else [terms.most_pairs]:
+    for number in looks(terms.most_pairs, first):
         for directory, system in both.items():
-            _grow(directory, system, pairs, replace(options, system=system.reference), console)
+            _grow(directory, system, number, replace(options, system=system.reference), console)
+        pairs, starts = recorded_pairs(both, number)
         found = judged(both, pairs, terms)
         if all(each.verdict != "UNDECIDED" for each in found.differences):
             break
-    assert found is not None, "there is a last look"
     write_whole(out / COMPARISON, (found.model_dump_json(indent=2) + "\n").encode())
+    from .report import write_report  # noqa: PLC0415  (late: matplotlib takes a second to load)
+
+    write_report(out / REPORT, both, pairs, starts, found)
     return found
 
 
@@ -89,23 +91,22 @@ def _grow(directory: Path, system: Compared, pairs: int, options: RunOptions, co
         resume_campaign(directory, options, console, pairs)
 
 
-def judged(both: Mapping[Path, Compared], pairs: int, terms: Terms) -> Comparison:
-    """Return what the first pairs of two finished campaigns show.
+def judged(both: Mapping[Path, Compared], pairs: Pairs, terms: Terms) -> Comparison:
+    """Return what the rollouts of two finished campaigns show.
 
     Raises:
-        PerfboundError: a database cannot be read, or the two have not drawn the same starts.
+        OSError: the certificate of one cannot be read.
 
     """
-    recorded = recorded_pairs(both, pairs)
-    found = differences(recorded, terms.delta, terms.equal)
+    found = differences(pairs, terms.delta, terms.equal)
     a, b = (_document(*each) for each in both.items())
     one, other = both.values()
     return Comparison(
         a=a,
         b=b,
         specification=one.config.formula or "",
-        clip=recorded.clip,
-        pairs=len(recorded.a),
+        clip=pairs.clip,
+        pairs=len(pairs.a),
         most_pairs=terms.most_pairs,
         common=in_common(one, other),
         probability=1.0 - terms.delta,
@@ -114,20 +115,20 @@ def judged(both: Mapping[Path, Compared], pairs: int, terms: Terms) -> Compariso
     )
 
 
-def recorded_pairs(both: Mapping[Path, Compared], pairs: int) -> Pairs:
-    """Return the robustness of the first pairs, in the order of their numbers.
+def recorded_pairs(both: Mapping[Path, Compared], number: int) -> tuple[Pairs, Floats]:
+    """Return the first pairs in their order, and their starts (n, p).
 
     Raises:
         PerfboundError: a database cannot be read, or the two have not drawn the same starts.
 
     """
-    (a, starts), (b, others) = (_recorded(*each, pairs) for each in both.items())
+    (a, starts), (b, others) = (_recorded(*each, number) for each in both.items())
     if not np.array_equal(starts, others):
         place = " and ".join(map(str, both))
         raise PerfboundError(f"{place}: not simulated from the same starts; choose another --out")
     one = next(iter(both.values()))
     header, numbers = one.header, {row: number for number, row in enumerate(one.listed)}
-    return Pairs(
+    found = Pairs(
         a,
         b,
         header.config.clip,
@@ -136,6 +137,7 @@ def recorded_pairs(both: Mapping[Path, Compared], pairs: int) -> Pairs:
         listed=len(numbers),
         exact=not any(each.header.claimed_variant in each.spec.noisy for each in both.values()),
     )
+    return found, starts
 
 
 def _recorded(directory: Path, system: Compared, pairs: int) -> tuple[Floats, Floats]:

@@ -33,31 +33,39 @@ CONCLUSIONS: Mapping[ComparisonVerdict, str] = {
 
 def print_comparison(found: Comparison, console: Console) -> None:
     """Print both systems, a line for each difference with its verdict, and the result last."""
-    for name, each in (("A", found.a), ("B", found.b)):
-        commit = f", {each.revision}" if each.revision else ""
-        plain_line(console, f"{name}  {one_line(each.campaign)}{commit}")
-    if found.a.system_sha256 == found.b.system_sha256:
-        plain_line(console, "   Both are one system, with the same sources.")
-    *others, last = found.common
-    shared = f"{', '.join(others)} and {last}" if others else last
-    plain_line(console, f"   {counted(found.pairs, 'pair')} of rollouts with the same {shared}")
+    for line in system_lines(found):
+        plain_line(console, line)
     console.print()
     table = Table(box=None, pad_edge=False, header_style="bold")
     for title in ("", "A", "B", "B - A", "verdict"):
         table.add_column(title, justify="left" if title in ("", "verdict") else "right", no_wrap=True)
     for each in found.differences:
-        table.add_row(*_row(each))
+        *cells, verdict = row(each)
+        table.add_row(*map(Text, cells), Text(verdict, STYLES[each.verdict]))
     console.print(table)
     console.print()
     hanging(console, Text(), " ".join(sentences(found)))
     heading(console, conclusion(found), STYLES[found.verdict])
 
 
-def _row(found: Difference) -> tuple[Text, ...]:
+def system_lines(found: Comparison) -> list[str]:
+    """Return what is compared, and what the rollouts of a pair share."""
+    lines = []
+    for name, each in (("A", found.a), ("B", found.b)):
+        commit = f", {each.revision}" if each.revision else ""
+        lines.append(f"{name}  {one_line(each.campaign)}{commit}")
+    if found.a.system_sha256 == found.b.system_sha256:
+        lines.append("   Both are one system, with the same sources.")
+    *others, last = found.common
+    shared = f"{', '.join(others)} and {last}" if others else last
+    return [*lines, f"   {counted(found.pairs, 'pair')} of rollouts with the same {shared}"]
+
+
+def row(found: Difference) -> tuple[str, str, str, str, str]:
+    """Return quantity, estimates, interval and verdict of a difference."""
     unit = f", {one_line(found.unit)}" if found.unit not in ("", "1") else ""
     interval = f"{outward(found.lower, '>=')} to {outward(found.upper, '<=')}"
-    cells = (f"{NAMES[found.quantity]}{unit}", f"{found.a:.4f}", f"{found.b:.4f}", interval)
-    return *map(Text, cells), Text(verdict_words(found), STYLES[found.verdict])
+    return f"{NAMES[found.quantity]}{unit}", f"{found.a:.4f}", f"{found.b:.4f}", interval, verdict_words(found)
 
 
 def verdict_words(found: Difference) -> str:
