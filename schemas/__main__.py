@@ -20,6 +20,7 @@ from .link.messages import (
     WorkerState,
 )
 from .result.certificate import Certificate
+from .result.comparison import Comparison
 from .result.known import KnownCampaign
 from .rollout import RolloutRequest
 from .system import SystemSpec
@@ -29,6 +30,7 @@ REFERENCE = Path(__file__).resolve().parents[1] / "docs" / "reference.md"
 MODELS: dict[str, type[BaseModel]] = {
     "campaign": CampaignConfig,
     "certificate": Certificate,
+    "comparison": Comparison,
     "status": KnownCampaign,
     "system": SystemSpec,
     "rollout-request": RolloutRequest,

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy import Connection, Engine
@@ -103,12 +104,28 @@ def system_reference(directory: Path) -> str:
         header = read_header(connection, directory)
         if header.config.system.kind == "name":
             return header.spec.name
-        sessions = tables.sessions.c
-        newest = sa.select(sessions.system).where(sessions.system.is_not(None)).order_by(sessions.session.desc())
-        found = connection.execute(newest.limit(1)).scalar()
+        found = _of_last_session(connection, tables.sessions.c.system)
         if found is None and header.spec.repeated == "nowhere":
             return header.spec.name  # nothing is loaded of it
         return str(found or header.config.system.reference(directory / f"{header.config.name}.toml"))
+
+
+def system_revision(directory: Path) -> str | None:
+    """Return the commit of the folder of a system in a file, as the last session had it; None where git knew none.
+
+    Raises:
+        JournalError: there is no campaign in `directory`, or it cannot be read.
+
+    """
+    with reading(directory) as connection:
+        found = _of_last_session(connection, tables.sessions.c.revision)
+    return None if found is None else str(found)
+
+
+def _of_last_session(connection: Connection, column: sa.Column[Any]) -> object:
+    """Return what the last session with a value has in a column; None without one."""
+    newest = sa.select(column).where(column.is_not(None)).order_by(tables.sessions.c.session.desc())
+    return connection.execute(newest.limit(1)).scalar()
 
 
 def attempts(directory: Path) -> dict[WorkId, int]:

@@ -13,12 +13,12 @@ from ....schemas.errors import PerfboundError
 from ....schemas.result.comparison import ComparedQuantity, ComparedSystem, Comparison
 from ...certificate import files
 from ...mathematics.gp.kernels import Floats
-from ...run.directory import revision, stored_differently
+from ...run.directory import stored_differently
 from ...run.options import RunOptions
 from ...run.session import resume_campaign, start_campaign
 from ...store.export_tables import robustness_unit
 from ...store.progress import read_progress
-from ...store.read import stored_header
+from ...store.read import stored_header, system_revision
 from ...store.robustness import read_values
 from ...store.rows import DATABASE
 from .differences import Pairs, differences, overall
@@ -155,7 +155,7 @@ def _document(directory: Path, system: Compared) -> ComparedSystem:
     return ComparedSystem(
         campaign=str(system.given),
         system=system.reference,
-        revision=revision((system.given if system.given.is_dir() else system.given.parent).absolute()),
+        revision=system_revision(directory),
         system_sha256=system.spec.digest,
         certificate_sha256=hashlib.sha256(certificate).hexdigest(),
     )

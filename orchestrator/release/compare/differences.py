@@ -110,7 +110,7 @@ def worst_start_difference(pairs: Pairs, delta: float) -> Interval:
     found = np.array([interval(pairs.b[here] - pairs.a[here], (-width, width), 0.0) for here in at])
     least = of_a[:, 1].min()
     above = np.maximum(of_a[:, 0] - least, 0.0)
-    lower = round_down(float((found[:, 0] + above).min()) - 1e-12 * width)
+    lower = max(round_down(float((found[:, 0] + above).min()) - 1e-12 * width), -width)
     upper = round_up(float(found[above == 0.0, 1].max()))
     a, b = (min(float(values[here].mean()) for here in at if here.any()) for values in (pairs.a, pairs.b))
     return Interval(a, b, lower, upper)
