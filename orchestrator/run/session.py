@@ -22,6 +22,7 @@ from ...schemas.link.secret import VARIABLE
 from ...schemas.result.facts import Header
 from ...schemas.rollout import RolloutRequest
 from ...schemas.stop_signals import stop_signals
+from ...schemas.system import SystemSpec
 from ..campaign.checks import check_new
 from ..campaign.software import software
 from ..certificate import files
@@ -64,8 +65,7 @@ def start_campaign(
 
     """
     reference = options.system or config.system.reference(source)
-    where = f"{source}: {config.system.place}"
-    spec = options.own.spec if options.own else child.system_spec(reference, where, config.horizon)
+    spec = options.own.spec if options.own else system_of(config, source, reference)
     check_new(config, spec, str(source))
     check_workers(spec, options.own, source, options.workers)
     # After the file: a copied one with a typo is at fault itself, and not the directory of its name.
@@ -76,12 +76,23 @@ def start_campaign(
         _transport(options, console) as transport,
     ):
         if options.workers and options.own is None and is_own_system(reference):
+            where = f"{source}: {config.system.place}"
             check_first_rollouts(header, reference, where, lambda line: console.print(Text(line), soft_wrap=True))
         with created(directory, header, options.origin(reference)) as journal:
             page.announce()
             found = replace(options, system=reference)
             _conduct(directory, journal, transport, page, options=found, console=console, resumed=False)
             page.end()
+
+
+def system_of(config: CampaignConfig, source: Path, reference: str) -> SystemSpec:
+    """Return the system of a campaign file or of a run directory, as a worker finds it now.
+
+    Raises:
+        CampaignError: it is missing, or cannot be used here.
+
+    """
+    return child.system_spec(reference, f"{source}: {config.system.place}", config.horizon)
 
 
 def resume_campaign(directory: Path, options: RunOptions, console: Console, max_tests: int | None = None) -> bool:

@@ -12,7 +12,7 @@ from ....schemas.file.space import Scenarios
 from ....schemas.result.comparison import Common
 from ....schemas.result.facts import Header
 from ....schemas.system import SystemSpec
-from ...fleet.children import child
+from ...run.session import system_of
 from ...store import read
 
 KEPT = (
@@ -62,9 +62,8 @@ def compared(given: Path) -> Compared:
     else:
         config = load_campaign(given)
         reference = config.system.reference(given)
-    where = f"{given}: {config.system.place}"
     listed = config.space.rows if isinstance(config.space, Scenarios) else ()
-    return Compared(given, config, reference, child.system_spec(reference, where, config.horizon), listed)
+    return Compared(given, config, reference, system_of(config, given, reference), listed)
 
 
 def paired(a: Compared, b: Compared, seed: int | None = None) -> tuple[Compared, Compared]:

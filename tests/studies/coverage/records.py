@@ -21,7 +21,8 @@ MODULES = {
     "kriging-audit": "kriging",
     "controls": "controls.campaigns",
     "law-audit": "controls.wrong_laws",
-    "t-test": "comparison",
+    "comparison": "comparison.campaigns",
+    "t-test": "comparison.campaigns",
 }
 """Module of the campaigns of a kind, if it is not the module of its name."""
 

@@ -5,17 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from tests.studies.coverage import (
-    comparison,
-    composition,
-    kriging,
-    paper,
-    regions,
-    requirements,
-    rigorous,
-    sampling,
-    scenario,
-)
+from tests.studies.coverage import composition, kriging, paper, regions, requirements, rigorous, sampling, scenario
+from tests.studies.coverage.comparison import campaigns as comparison
 from tests.studies.coverage.controls import campaigns as controls
 from tests.studies.coverage.controls import wrong_laws
 from tests.studies.coverage.records import Chunk, Row, digest

@@ -91,7 +91,8 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Compar
     runs = Runs(monkeypatch, {"a": good, "b": bad})
 
     def compared(systems: tuple[Compared, Compared] | None = None, **changes: Any) -> Comparison:
-        terms = Terms(**{"most_pairs": 60, "delta": 0.05, "equal": {}} | changes)
+        found: dict[str, Any] = {"most_pairs": 60, "delta": 0.05, "equal": {}}
+        terms = Terms(**found | changes)
         return compare(systems or both(), tmp_path / "out", terms, RunOptions(1, Link(LOCAL)), Console(quiet=True))
 
     compared.runs = runs  # type: ignore[attr-defined]

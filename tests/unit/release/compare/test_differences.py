@@ -1,17 +1,19 @@
 """Differences of two systems: verdicts, the worst listed start by brute force, and how delta is spent."""
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from perfbound.orchestrator.mathematics.bounds.one_law import interval
 from perfbound.orchestrator.release.compare import differences as module
 from perfbound.orchestrator.release.compare.differences import Pairs, differences, overall, verdict
 from perfbound.schemas.result.comparison import ComparedQuantity, ComparisonVerdict
 
 CLIP = (-1.0, 1.0)
+DIRECTIONS: tuple[Literal["larger", "smaller"], ...] = ("larger", "smaller")
 Floats = np.ndarray[Any, np.dtype[np.float64]]
 
 
@@ -51,7 +53,7 @@ def test_a_difference_as_large_as_the_clip_is_compared() -> None:
 @pytest.mark.parametrize("listed", [False, True])
 def test_all_intervals_together_have_one_delta(monkeypatch: pytest.MonkeyPatch, listed: bool) -> None:
     spent = list[float]()
-    own = module.mean_interval
+    own = interval.mean_interval
 
     def counted(values: Floats, ends: tuple[float, float], delta: float, *, about: float) -> tuple[float, float]:
         spent.append(delta)
@@ -92,13 +94,13 @@ def test_a_start_that_is_far_from_the_worst_has_to_fall_further(monkeypatch: pyt
     intervals = iter([(0.0, 0.1), (0.6, 0.7), (-0.02, 0.02), (-0.3, -0.2)])
     monkeypatch.setattr(module, "mean_interval", lambda *_, **__: next(intervals))
     found = module.worst_start_difference(pairs([0.05, 0.65], [0.05, 0.4], [0, 1]), 0.05)
-    assert (found.lower, found.upper) == (pytest.approx(-0.02), pytest.approx(0.02)), "the second start does not count"
+    assert [found.lower, found.upper] == pytest.approx([-0.02, 0.02]), "the second start does not count"
     assert (found.a, found.b) == (0.05, 0.05)
 
 
 def test_one_pair_shows_all_of_a_start_without_noise() -> None:
     found = differences(pairs([0.5, 0.2, 0.5], [0.5, 0.1, 0.5], [0, 1, 0], exact=True), 0.05, {})[-1]
-    assert (found.lower, found.upper) == (pytest.approx(-0.1), pytest.approx(-0.1))
+    assert [found.lower, found.upper] == pytest.approx([-0.1, -0.1])
     assert found.verdict == "WORSE"
 
 
@@ -115,7 +117,7 @@ def test_a_verdict_turns_round_with_the_direction(lower: float, upper: float) ->
         return
     swapped: dict[ComparisonVerdict, ComparisonVerdict] = {"BETTER": "WORSE", "WORSE": "BETTER"}
     for equal in (None, 0.1):
-        one, other = (verdict(lower, upper, better, equal) for better in ("larger", "smaller"))  # type: ignore[arg-type]
+        one, other = (verdict(lower, upper, better, equal) for better in DIRECTIONS)
         assert swapped.get(one, one) == other
         assert verdict(-upper, -lower, "larger", equal) == other
         assert (one == "EQUAL") == (equal is not None and -equal <= lower and upper <= equal)

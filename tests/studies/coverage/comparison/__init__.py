@@ -1,0 +1,1 @@
+"""Comparisons of two systems, and what is usual in their place."""
