@@ -5,6 +5,7 @@ from typing import Literal
 from pydantic import Field
 
 from ..base import Model
+from ..system import OptionValue
 
 ComparisonVerdict = Literal["BETTER", "WORSE", "EQUAL", "UNDECIDED"]
 ComparedQuantity = Literal["mean", "failure_probability", "worst_start"]
@@ -16,6 +17,7 @@ class ComparedSystem(Model):
 
     campaign: str = Field(description="the campaign file, or the run directory, that was given")
     system: str = Field(description="the system as a worker finds it")
+    options: dict[str, OptionValue] = Field(description="the options that its campaign file sets")
     revision: str | None = Field(description="the commit of its folder, where git knows one")
     system_sha256: str = Field(description="digest of the description and the sources of the system")
     certificate_sha256: str = Field(description="digest of the certificate of its rollouts")

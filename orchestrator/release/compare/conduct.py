@@ -155,6 +155,7 @@ def _document(directory: Path, system: Compared) -> ComparedSystem:
     return ComparedSystem(
         campaign=str(system.given),
         system=system.reference,
+        options=system.config.system.options,
         revision=system_revision(directory),
         system_sha256=system.spec.digest,
         certificate_sha256=hashlib.sha256(certificate).hexdigest(),

@@ -52,9 +52,9 @@ def system_lines(found: Comparison) -> list[str]:
     """Return what is compared, and what the rollouts of a pair share."""
     lines = []
     for name, each in (("A", found.a), ("B", found.b)):
-        commit = f", {each.revision}" if each.revision else ""
-        lines.append(f"{name}  {one_line(each.campaign)}{commit}")
-    if found.a.system_sha256 == found.b.system_sha256:
+        options = [f"{option} = {value}" for option, value in each.options.items()]
+        lines.append(f"{name}  {one_line(', '.join(filter(None, (each.campaign, *options, each.revision))))}")
+    if (found.a.system_sha256, found.a.options) == (found.b.system_sha256, found.b.options):
         lines.append("   Both are one system, with the same sources.")
     *others, last = found.common
     shared = f"{', '.join(others)} and {last}" if others else last

@@ -253,6 +253,16 @@ def test_starts_that_differ_are_no_pairs(run: Callable[..., Comparison], tmp_pat
         run((one, alone))
 
 
+def test_one_system_with_other_options_is_not_the_same(run: Callable[..., Comparison]) -> None:
+    found = run(both(), most_pairs=5)
+    alike = found.model_copy(update={"b": found.b.model_copy(update={"system_sha256": found.a.system_sha256})})
+    assert "Both are one system" in printed(alike)
+    aggressive = alike.b.model_copy(update={"options": {"gains": "aggressive"}})
+    text = printed(alike.model_copy(update={"b": aggressive}))
+    assert "B  b.toml, gains = aggressive" in text
+    assert "Both are one system" not in text
+
+
 def test_without_a_clip_the_output_says_what_is_missing(run: Callable[..., Comparison], tmp_path: Path) -> None:
     found = run(both(clip=None))
     assert [each.quantity for each in found.differences] == ["failure_probability"]
