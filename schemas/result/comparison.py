@@ -8,7 +8,7 @@ from ..base import Model
 from ..system import OptionValue
 
 ComparisonVerdict = Literal["BETTER", "WORSE", "EQUAL", "UNDECIDED"]
-ComparedQuantity = Literal["mean", "failure_probability", "worst_start"]
+ComparedQuantity = Literal["mean", "failure_probability", "worst_start", "worst_case"]
 Common = Literal["starts", "seeds", "disturbances"]
 
 
@@ -28,7 +28,7 @@ class Difference(Model):
 
     quantity: ComparedQuantity = Field(
         description="`mean`: of the robustness; `failure_probability`; `worst_start`: the least mean robustness of the "
-        "listed starts"
+        "listed starts; `worst_case`: the least robustness over all starts, of noisy rollouts the least mean"
     )
     better: Literal["larger", "smaller"] = Field(description="which values are better")
     a: float = Field(description="estimate of A, which is no bound")
@@ -41,15 +41,15 @@ class Difference(Model):
 
 
 class Comparison(Model):
-    """The comparison of a system B with a system A, from rollouts in pairs."""
+    """The comparison of a system B with a system A, from rollouts in pairs or from two bounds of the worst case."""
 
     format: Literal["perfbound-comparison-1"] = "perfbound-comparison-1"
     a: ComparedSystem
     b: ComparedSystem
     specification: str
     clip: tuple[float, float] | None
-    pairs: int = Field(ge=0, description="starts, each with one rollout of either system")
-    most_pairs: int = Field(ge=1, description="the largest number that was asked for")
+    pairs: int = Field(ge=0, description="starts, each with one rollout of either system; 0 of the worst case")
+    most_pairs: int = Field(ge=0, description="the largest number that was asked for")
     common: tuple[Common, ...] = Field(description="what the two rollouts of a pair share")
     probability: float = Field(
         gt=0, lt=1, description="least probability that all intervals contain their differences, after every pair"

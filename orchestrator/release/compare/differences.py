@@ -65,7 +65,7 @@ def differences(pairs: Pairs, delta: float, equal: Mapping[ComparedQuantity, flo
     """
     found = quantities(pairs)
     return tuple(
-        _judged(quantity, INTERVALS[quantity](pairs, delta / len(found)), equal.get(quantity), pairs.unit)
+        judged(quantity, INTERVALS[quantity](pairs, delta / len(found)), equal.get(quantity), pairs.unit)
         for quantity in found
     )
 
@@ -125,6 +125,7 @@ BETTER: Mapping[ComparedQuantity, Literal["larger", "smaller"]] = {
     "mean": "larger",
     "failure_probability": "smaller",
     "worst_start": "larger",
+    "worst_case": "larger",
 }
 
 
@@ -133,7 +134,8 @@ def _width(pairs: Pairs) -> float:
     return pairs.clip[1] - pairs.clip[0]
 
 
-def _judged(quantity: ComparedQuantity, found: Interval, equal: float | None, unit: str) -> Difference:
+def judged(quantity: ComparedQuantity, found: Interval, equal: float | None, unit: str) -> Difference:
+    """Return a difference with its verdict; `unit` is that of the robustness."""
     better = BETTER[quantity]
     return Difference(
         quantity=quantity,
