@@ -108,9 +108,8 @@ def _equal(_context: click.Context, _parameter: click.Parameter, given: tuple[st
 @click.option(
     "--pairs",
     type=click.IntRange(2, 1_000_000),
-    default=1000,
-    show_default=True,
-    help="Starts, each with a rollout of A and one of B; with --stop-when the largest number.",
+    default=None,
+    help="Starts, each with a rollout of A and one of B; with --stop-when the largest number.  [default: 1000]",
 )
 @click.option(
     "--delta",
@@ -124,9 +123,15 @@ def _equal(_context: click.Context, _parameter: click.Parameter, given: tuple[st
     multiple=True,
     metavar="QUANTITY=NUMBER",
     callback=_equal,
-    help="A difference that does not matter, of `mean`, `failure_probability` or `worst_start`; may be repeated.",
+    help="A difference that does not matter, of `mean`, `failure_probability`, `worst_start` or `worst_case`; may be "
+    "repeated.",
 )
 @click.option("--stop-when", type=click.Choice(["decided"]), help="Stop as soon as no verdict is UNDECIDED.")
+@click.option(
+    "--worst-case",
+    is_flag=True,
+    help="Compare the worst starts of all: both campaigns run as their files say, each with half of --delta.",
+)
 @click.option(
     "--fail-on",
     type=click.Choice(["worse", "undecided"]),
@@ -141,10 +146,11 @@ def compare(
     a: Path,
     b: Path,
     out: Path,
-    pairs: int,
+    pairs: int | None,
     delta: float,
     equal: dict[Any, float],
     stop_when: str | None,
+    worst_case: bool,
     fail_on: tuple[str, ...],
     seed: int | None,
     workers: int,
@@ -157,14 +163,21 @@ def compare(
     from ..release.compare.systems import compared, paired  # noqa: PLC0415
     from ..run.options import RunOptions  # noqa: PLC0415
 
-    systems = paired(compared(a), compared(b), seed)
+    if worst_case and (pairs is not None or stop_when is not None):
+        raise click.UsageError("--worst-case has no pairs: leave out --pairs and --stop-when")
+    given = compared(a), compared(b)
+    systems = paired(*given, seed)  # of the worst case, too: only one question has a comparison
     from ..release.compare import outputs  # noqa: PLC0415
-    from ..release.compare.conduct import Terms  # noqa: PLC0415
-    from ..release.compare.conduct import compare as conduct  # noqa: PLC0415
+    from ..release.compare.conduct import Terms, compare_pairs  # noqa: PLC0415
+    from ..release.compare.worst_case import bounded, compare_worst  # noqa: PLC0415
 
-    terms = Terms(pairs, delta, equal, until_decided=stop_when is not None)
+    terms = Terms(pairs or 1000, delta, equal, until_decided=stop_when is not None)
+    settings = RunOptions(workers, link_of(**options))
     with resumable(out, "the same command"):
-        found = conduct(systems, out, terms, RunOptions(workers, link_of(**options)), STDERR.console)
+        if worst_case:
+            found = compare_worst(bounded(given, seed, delta), out, terms, settings, STDERR.console)
+        else:
+            found = compare_pairs(systems, out, terms, settings, STDERR.console)
     outputs.print_comparison(found, output_console())
     if {each.verdict.lower() for each in found.differences} & set(fail_on):
         sys.exit(FAILED)

@@ -41,7 +41,9 @@ class Terms:
     """Whether it ends as soon as no verdict is UNDECIDED."""
 
 
-def compare(systems: Sequence[Compared], out: Path, terms: Terms, options: RunOptions, console: Console) -> Comparison:
+def compare_pairs(
+    systems: Sequence[Compared], out: Path, terms: Terms, options: RunOptions, console: Console
+) -> Comparison:
     """Simulate both systems in pairs until the terms are met, and write what follows; the same call continues.
 
     Raises:
@@ -53,40 +55,59 @@ def compare(systems: Sequence[Compared], out: Path, terms: Terms, options: RunOp
     both = _begun(systems, out, first)
     for number in looks(terms.most_pairs, first):
         for directory, system in both.items():
-            _grow(directory, system, number, replace(options, system=system.reference), console)
+            _grow(directory, system, number, options, console)
         pairs, starts = recorded_pairs(both, number)
         found = judged(both, pairs, terms)
         if all(each.verdict != "UNDECIDED" for each in found.differences):
             break
-    write_whole(out / COMPARISON, (found.model_dump_json(indent=2) + "\n").encode())
+    write(out, found)
     from .report import write_report  # noqa: PLC0415  (late: matplotlib takes a second to load)
 
     write_report(out / REPORT, both, pairs, starts, found)
     return found
 
 
+def write(out: Path, found: Comparison) -> None:
+    """Write the document of a comparison."""
+    write_whole(out / COMPARISON, (found.model_dump_json(indent=2) + "\n").encode())
+
+
 def _begun(systems: Sequence[Compared], out: Path, first: int) -> dict[Path, Compared]:
     """Return both systems by their run directories, with the number of tests with which these have begun."""
-    directories = [out / side for side in SIDES]
-    begun = [each for each in directories if (each / DATABASE).exists()]
+    begun = [out / side for side in SIDES if (out / side / DATABASE).exists()]
     # It decides seeds of fewer than 53 bits, so that both begin with the same one.
     tests = stored_header(begun[0]).config.max_tests if begun else first
-    found = {
-        directory: replace(system, config=system.config.model_copy(update={"max_tests": tests}))
-        for directory, system in zip(directories, systems, strict=True)
-    }
-    for directory in begun:
-        if unlike := stored_differently(directory, found[directory].config):
+    sized = [replace(each, config=each.config.model_copy(update={"max_tests": tests})) for each in systems]
+    return in_folder(sized, out)
+
+
+def in_folder(systems: Sequence[Compared], out: Path) -> dict[Path, Compared]:
+    """Return both systems by their run directories in the folder of a comparison.
+
+    Raises:
+        PerfboundError: other campaigns are there.
+
+    """
+    found = dict(zip([out / side for side in SIDES], systems, strict=True))
+    for directory, system in found.items():
+        if (directory / DATABASE).exists() and (unlike := stored_differently(directory, system.config)):
             raise PerfboundError(f"{out}: the comparison here differs from this one: {unlike}; choose another --out")
     return found
 
 
-def _grow(directory: Path, system: Compared, pairs: int, options: RunOptions, console: Console) -> None:
-    """Bring the campaign of one system to so many tests at least."""
+def run_to_end(directory: Path, system: Compared, options: RunOptions, console: Console) -> None:
+    """Run or resume the campaign of one system to its certificate; raises as `start_campaign`."""
+    options = replace(options, system=system.reference)
     if not (directory / DATABASE).exists():
         start_campaign(system.config, system.given, directory, options, console)
     elif files.read(directory) is None:
         resume_campaign(directory, options, console)
+
+
+def _grow(directory: Path, system: Compared, pairs: int, options: RunOptions, console: Console) -> None:
+    """Bring the campaign of one system to so many tests at least."""
+    run_to_end(directory, system, options, console)
+    options = replace(options, system=system.reference)
     if read_progress(directory).problems[0].tests < pairs:
         resume_campaign(directory, options, console, pairs)
 
@@ -99,7 +120,7 @@ def judged(both: Mapping[Path, Compared], pairs: Pairs, terms: Terms) -> Compari
 
     """
     found = differences(pairs, terms.delta, terms.equal)
-    a, b = (_document(*each) for each in both.items())
+    a, b = (document(*each) for each in both.items())
     one, other = both.values()
     return Comparison(
         a=a,
@@ -150,7 +171,8 @@ def _recorded(directory: Path, system: Compared, pairs: int) -> tuple[Floats, Fl
     return values[:pairs], starts[:pairs]
 
 
-def _document(directory: Path, system: Compared) -> ComparedSystem:
+def document(directory: Path, system: Compared) -> ComparedSystem:
+    """Return what a comparison says of one system; raises OSError where its certificate cannot be read."""
     certificate = (directory / files.CERTIFICATE).read_bytes()
     return ComparedSystem(
         campaign=str(system.given),

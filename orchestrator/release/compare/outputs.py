@@ -16,6 +16,7 @@ NAMES: Mapping[ComparedQuantity, str] = {
     "mean": "mean robustness",
     "failure_probability": "failure probability",
     "worst_start": "mean robustness at the worst listed start",
+    "worst_case": "robustness at the worst start of all",
 }
 STYLES: Mapping[ComparisonVerdict, str] = {
     "WORSE": "bold red",
@@ -56,6 +57,8 @@ def system_lines(found: Comparison) -> list[str]:
         lines.append(f"{name}  {one_line(', '.join(filter(None, (each.campaign, *options, each.revision))))}")
     if (found.a.system_sha256, found.a.options) == (found.b.system_sha256, found.b.options):
         lines.append("   Both are one system, with the same sources.")
+    if not found.common:
+        return lines
     *others, last = found.common
     shared = f"{', '.join(others)} and {last}" if others else last
     return [*lines, f"   {counted(found.pairs, 'pair')} of rollouts with the same {shared}"]
@@ -78,6 +81,10 @@ def verdict_words(found: Difference) -> str:
 def sentences(found: Comparison) -> list[str]:
     """Return what the intervals mean, and what they rest on."""
     chance = f"With probability at least {outward(found.probability, '>=')}"
+    if not found.common:
+        words = "the interval contains the difference of the worst cases, if the assumptions of both certificates hold"
+        clipped = "" if found.clip is None else f" The robustness is {clip_words(found.clip)}."
+        return [f"{chance} {words}; A and B are the middles of their bounds.{clipped}"]
     lines = [f"{chance} all intervals contain their differences, after every pair at once; A and B are estimates."]
     if found.clip is not None:
         lines.append(f"Means are those of the robustness {clip_words(found.clip)}.")

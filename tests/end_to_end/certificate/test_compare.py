@@ -64,3 +64,4 @@ def test_a_worse_version_fails_and_kill_9_changes_nothing(started: Processes) ->
     assert refused.code == 1
     assert "the comparison here differs from this one" in refused.err
     assert started.run(*line[:-2], "--equal", "men=1").code == 2
+    assert started.run(*line[:-2], "--worst-case").code == 2

@@ -14,9 +14,10 @@ import pytest
 from rich.console import Console
 
 from perfbound.orchestrator.release.compare import conduct
-from perfbound.orchestrator.release.compare.conduct import COMPARISON, REPORT, Terms, compare
+from perfbound.orchestrator.release.compare.conduct import COMPARISON, REPORT, Terms, compare_pairs
 from perfbound.orchestrator.release.compare.outputs import print_comparison
 from perfbound.orchestrator.release.compare.systems import Compared, in_common, paired
+from perfbound.orchestrator.release.compare.worst_case import bounded, compare_worst
 from perfbound.orchestrator.run.extend import extend_campaign
 from perfbound.orchestrator.run.link import Link
 from perfbound.orchestrator.run.options import RunOptions
@@ -34,6 +35,7 @@ from tests.fakes.simulators import Function, noise, robustness, simulate, spec
 
 RIGOROUS = {"method": "rigorous", "alpha": 0.1, "rkhs_norm": 2.0, "noise_scale": 0.0, "kernel": {"length_scale": 0.7}}
 NOISY = spec(noisy=True)
+OPTIONS = RunOptions(1, Link(LOCAL))
 
 
 def good(request: RolloutRequest) -> float:
@@ -57,8 +59,8 @@ def both(**changes: Any) -> tuple[Compared, Compared]:
 class Runs:
     """In place of the sessions of two campaigns: each simulates its own function."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, functions: dict[str, Function]) -> None:
-        self.functions, self.simulated = functions, dict.fromkeys(functions, 0)
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, functions: dict[str, Function], *, noisy: bool = True) -> None:
+        self.functions, self.simulated, self.noisy = functions, dict.fromkeys(functions, 0), noisy
         self.stop: Callable[[RolloutRequest], bool] = lambda _: False
         monkeypatch.setattr(conduct, "start_campaign", self.start)
         monkeypatch.setattr(conduct, "resume_campaign", self.resume)
@@ -81,7 +83,8 @@ class Runs:
             self.simulated[name] += 1
             return self.functions[name](request)
 
-        if simulate(directory, config, counted, noisy=True, stop=self.stop, system=system(name).spec) is None:
+        found = system(name, spec(noisy=self.noisy)).spec
+        if simulate(directory, config, counted, noisy=self.noisy, stop=self.stop, system=found) is None:
             raise KeyboardInterrupt
 
 
@@ -93,7 +96,9 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Compar
     def compared(systems: tuple[Compared, Compared] | None = None, **changes: Any) -> Comparison:
         found: dict[str, Any] = {"most_pairs": 60, "delta": 0.05, "equal": {}}
         terms = Terms(**found | changes)
-        return compare(systems or both(), tmp_path / "out", terms, RunOptions(1, Link(LOCAL)), Console(quiet=True))
+        return compare_pairs(
+            systems or both(), tmp_path / "out", terms, RunOptions(1, Link(LOCAL)), Console(quiet=True)
+        )
 
     compared.runs = runs  # type: ignore[attr-defined]
     return compared
@@ -268,3 +273,62 @@ def test_without_a_clip_the_output_says_what_is_missing(run: Callable[..., Compa
     assert [each.quantity for each in found.differences] == ["failure_probability"]
     assert "Without a clip no mean has a bound." in printed(found)
     assert json.loads((tmp_path / "out" / COMPARISON).read_text())["clip"] is None
+
+
+# The worst case
+
+
+def slope(request: RolloutRequest) -> float:
+    return 0.5 - 0.2 * (sum(request.x) - 1.0)
+
+
+def worst(out: Path, delta: float = 0.04, **changes: Any) -> Comparison:
+    systems = bounded((system("a", **changes), system("b", **changes)), None, delta)
+    terms = Terms(1000, delta, {"worst_case": 0.3} if "equal" in out.name else {})
+    return compare_worst(systems, out, terms, OPTIONS, Console(quiet=True))
+
+
+@pytest.fixture
+def exact(monkeypatch: pytest.MonkeyPatch) -> Runs:
+    return Runs(monkeypatch, {"a": slope, "b": lambda request: slope(request) - 0.2}, noisy=False)
+
+
+def test_worst_cases_are_compared_by_bounds_from_both_sides(exact: Runs, tmp_path: Path) -> None:
+    found = worst(tmp_path / "out", problems=[{"name": "robustness", **RIGOROUS, "alpha": 0.01, "noise_scale": 0.0}])
+    (difference,) = found.differences
+    assert (difference.quantity, found.verdict, found.common, found.pairs) == ("worst_case", "WORSE", (), 0)
+    assert difference.lower <= -0.2 <= difference.upper < -0.15
+    text = printed(found)
+    assert re.search(r"robustness at the worst start of all .* WORSE", text)
+    assert "if the assumptions of both certificates hold" in " ".join(text.split())
+    assert Comparison.model_validate_json((tmp_path / "out" / COMPARISON).read_bytes()) == found
+    simulated = dict(exact.simulated)
+    assert worst(tmp_path / "out", problems=[{"name": "robustness", **RIGOROUS, "alpha": 0.01}]) == found
+    assert exact.simulated == simulated
+    header = stored_header(tmp_path / "out" / "a")
+    assert header.config.problems[0].delta == 0.02, "half for each"
+    with pytest.raises(PerfboundError, match=facts("out problems.0.delta --out")):
+        worst(tmp_path / "out", 0.05, problems=[{"name": "robustness", **RIGOROUS, "alpha": 0.01}])
+
+
+def test_a_wide_tolerance_decides_nothing(exact: Runs, tmp_path: Path) -> None:
+    assert worst(tmp_path / "out", resolution=3).verdict == "UNDECIDED"
+
+
+def test_a_refuted_bound_is_not_compared(exact: Runs, tmp_path: Path) -> None:
+    problem = {"name": "robustness", **RIGOROUS, "rkhs_norm": 0.05}
+    with pytest.raises(PerfboundError, match=facts("out/a refutes rkhs_norm/robustness constants --out")):
+        worst(tmp_path / "out", problems=[problem])
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"problems": [{"name": "robustness", "method": "sample"}]},
+        {"falsify": {}},
+        {"specification": None, "specifications": [{"name": "low", "formula": "value >= 0"}]},
+    ],
+)
+def test_what_has_no_bound_from_both_sides_has_no_worst_case(changes: dict[str, Any]) -> None:
+    with pytest.raises(CampaignError, match=facts("b.toml worst case 'rigorous' 'scenario' --worst-case")):
+        bounded((system("a"), system("b", **changes)), None, 0.05)

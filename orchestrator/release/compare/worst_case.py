@@ -1,0 +1,104 @@
+"""The worst cases of two systems against each other, by a bound of either from both sides.
+
+| symbol | meaning                                                          | unit |
+|--------|------------------------------------------------------------------|------|
+| L, U   | bounds of the worst case of a system, both true with 1 - delta/2 | v    |
+| delta  | failure probability of the comparison                            | -    |
+
+The worst case is the least robustness over all starts, of noisy rollouts the least mean.
+With 1 - delta the worst case of B less that of A is in [L_B - U_A, U_B - L_A].
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from rich.console import Console
+
+from ....schemas.errors import CampaignError, PerfboundError
+from ....schemas.file.problem_models import RigorousProblem, ScenarioProblem
+from ....schemas.result.certificate import Certificate
+from ....schemas.result.comparison import Comparison
+from ...certificate import files
+from ...certificate.counter_evidence import other_side
+from ...mathematics.bounds.rounding import round_down, round_up
+from ...run.options import RunOptions
+from ...store.export_tables import robustness_unit
+from .conduct import Terms, document, in_folder, run_to_end, write
+from .differences import Interval, judged, overall
+from .systems import Compared
+
+
+def bounded(systems: Sequence[Compared], seed: int | None, delta: float) -> list[Compared]:
+    """Return both systems with their own campaigns, each at half of delta.
+
+    Raises:
+        CampaignError: one does not bound its worst start from both sides.
+
+    """
+    found = []
+    for system in systems:
+        config, (problem, *others) = system.config, system.config.problems
+        two_sided = isinstance(problem, RigorousProblem | ScenarioProblem) and problem.name == "robustness"
+        if others or not two_sided or config.specifications or config.may_end_early:
+            raise CampaignError(
+                f"{system.given}: a worst case is compared by one problem `robustness` of method 'rigorous' or "
+                "'scenario' with one specification, and without a search, whose bounds are from both sides; give such "
+                "a campaign file, or leave out --worst-case"
+            )
+        halved = (problem.model_copy(update={"delta": delta / 2}),)
+        update = {"problems": halved, "seed": config.seed if seed is None else seed}
+        found.append(replace(system, config=config.model_copy(update=update)))
+    return found
+
+
+def compare_worst(
+    systems: Sequence[Compared], out: Path, terms: Terms, options: RunOptions, console: Console
+) -> Comparison:
+    """Bound the worst case of both systems, and write what follows; the same call continues.
+
+    Raises:
+        PerfboundError: another comparison is in `out`, a campaign cannot be run, or its constants are refuted.
+        Stopped: a signal arrived.
+
+    """
+    both = in_folder(systems, out)
+    ends = []
+    for directory, system in both.items():
+        run_to_end(directory, system, options, console)
+        certificate = files.read(directory)
+        assert certificate is not None, "the campaign has ended"
+        ends.append(_ends(directory, certificate))
+    (low_a, high_a), (low_b, high_b) = ends
+    one, a, b = systems[0], *(document(*each) for each in both.items())
+    interval = Interval(
+        (low_a + high_a) / 2, (low_b + high_b) / 2, round_down(low_b - high_a), round_up(high_b - low_a)
+    )
+    unit = robustness_unit(one.config, one.header.spec)
+    found = judged("worst_case", interval, terms.equal.get("worst_case"), unit)
+    comparison = Comparison(
+        a=a,
+        b=b,
+        specification=one.config.formula or "",
+        clip=one.config.clip,
+        pairs=0,
+        most_pairs=0,
+        common=(),
+        probability=1.0 - terms.delta,
+        differences=(found,),
+        verdict=overall([found.verdict]),
+    )
+    write(out, comparison)
+    return comparison
+
+
+def _ends(directory: Path, certificate: Certificate) -> tuple[float, float]:
+    """Return the bounds of a worst case from below and from above."""
+    claim, upper = certificate.predicate.claims[0], other_side(certificate.predicate)
+    if claim.refuted or upper is None:
+        reason = f"refutes {', '.join(claim.refuted)}" if claim.refuted else "has no bound from the other side"
+        raise PerfboundError(
+            f"{directory}: the certificate {reason}, so that nothing can be compared; give its campaign file other "
+            "constants, and compare with another --out"
+        )
+    return claim.bound, upper
