@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from ...schemas import atomic
-from .early import check_directory
+from .early import check_directory, check_folder
 from .exits import resumable
 from .group import RUN_DIRECTORY, cli, output_console
 from .link_options import link_of, link_options
@@ -181,3 +181,22 @@ def compare(
     outputs.print_comparison(found, output_console())
     if {each.verdict.lower() for each in found.differences} & set(fail_on):
         sys.exit(FAILED)
+
+
+@cli.command()
+@click.argument("folder", type=RUN_DIRECTORY, default="runs", callback=check_folder)
+@click.option("--requirement", default=None, metavar="ID", help="Id or name.  [default: the whole specification]")
+@click.option("--json", "as_json", is_flag=True, help="Print a JSON object a line.")
+def history(*, folder: Path, requirement: str | None, as_json: bool) -> None:
+    """Show what the finished campaigns in FOLDER (default: runs) have shown of a requirement, the oldest first."""
+    import json  # noqa: PLC0415
+    from dataclasses import asdict  # noqa: PLC0415
+
+    from ..release import history as versions  # noqa: PLC0415
+
+    found, others = versions.history(folder, requirement)
+    if as_json:
+        for each in found:
+            click.echo(json.dumps({**asdict(each), "directory": str(each.directory)}))
+    else:
+        versions.print_history(found, others, output_console())

@@ -1,0 +1,145 @@
+"""One requirement over the versions of a system: what each finished campaign of a folder has shown of it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from rich.console import Console
+from rich.text import Text
+
+from ...schemas.amounts import counted
+from ...schemas.errors import PerfboundError, one_line
+from ...schemas.file.config import CampaignConfig
+from ...schemas.file.drawn_claims import is_sampled
+from ...schemas.result.certificate import CertificateClaim, Predicate
+from ...schemas.result.known import VerdictWord
+from ..certificate import files
+from ..certificate.counter_evidence import other_side
+from ..certificate.words.bound_text import claim_unit, outward
+from ..certificate.words.console_lines import plain_line
+from ..certificate.words.known_text import COLOURS
+from ..certificate.words.text import claim_words
+from ..report.listing import last_change, run_directories
+from ..run.known import finished
+from ..store.export_tables import robustness_unit
+from ..store.read import last_outcome, system_revision
+
+HEAD = ("campaign", "ended (UTC)", "version", "at least", "at most", "probability", "verdict")
+
+
+@dataclass(frozen=True, slots=True)
+class Version:
+    """What one campaign has shown of a requirement."""
+
+    directory: Path
+    ended: float
+    """Unix time of its last rollout."""
+    revision: str | None
+    """The commit of its system, where git knew one."""
+    question: tuple[str, float | None, str]
+    """Quantity, level and formula, those of all versions of a history."""
+    subject: str
+    """What the bounds are about, in words."""
+    lower: float | None
+    upper: float | None
+    unit: str
+    probability: float
+    refuted: bool
+    """Whether its claim rests on a refuted assumption."""
+    verdict: VerdictWord
+    """Of the whole campaign."""
+
+
+def history(folder: Path, requirement: str | None) -> tuple[list[Version], int]:
+    """Return the versions in a folder, the oldest first, and how many finished campaigns ask another question.
+
+    That of the newest is asked: its formula and its quantity. Without a requirement it is the whole specification.
+
+    Raises:
+        PerfboundError: no campaign in the folder has finished, or none has the requirement.
+
+    """
+    if not folder.is_dir():
+        raise PerfboundError(f"{folder}: no such folder; name the one with the run directories, such as runs")
+    directories = [each for each in run_directories(folder) if (each / files.CERTIFICATE).exists()]
+    found = sorted(filter(None, (_version(each, requirement) for each in directories)), key=lambda each: each.ended)
+    if not found:
+        wanted = "" if requirement is None else f" with a claim about the requirement {requirement!r}"
+        raise PerfboundError(f"{folder}: no finished campaign{wanted} is in this folder")
+    alike = [each for each in found if each.question == found[-1].question]
+    return alike, len(directories) - len(alike)
+
+
+def _version(directory: Path, requirement: str | None) -> Version | None:
+    certificate = files.read(directory)
+    if certificate is None:
+        return None
+    campaign = finished(directory, certificate)
+    config, predicate = campaign.header.config, campaign.predicate
+    named = _named(config, requirement)
+    if requirement is not None and named is None:
+        return None
+    name, formula = named or (None, config.formula)
+    claim = next((each for each in predicate.claims if each.requirement == name), None)
+    if claim is None:
+        return None
+    partner = _partner(predicate, claim)
+    lower, upper = (claim.bound, partner) if claim.sense == ">=" else (partner, claim.bound)
+    return Version(
+        directory,
+        last_outcome(directory) or last_change(directory),
+        system_revision(directory),
+        (claim.quantity, claim.level, formula or ""),
+        claim_words(claim),
+        lower,
+        upper,
+        claim_unit(claim, robustness_unit(config, campaign.header.spec)),
+        claim.probability,
+        bool(claim.refuted),
+        campaign.verdict.verdict,
+    )
+
+
+def _named(config: CampaignConfig, requirement: str | None) -> tuple[str, str] | None:
+    """Return name and formula of the requirement with this id or name; None where the campaign has none such."""
+    wanted = (each for each in config.specifications if requirement in (each.name, each.id))
+    return next(((each.name, each.formula) for each in wanted), None)
+
+
+def _partner(predicate: Predicate, claim: CertificateClaim) -> float | None:
+    """Return the bound from the other side of what the first claim is about; None of every other claim."""
+    if claim != predicate.claims[0]:
+        return None
+    return predicate.problems[0].partner if is_sampled(claim.quantity) else other_side(predicate)
+
+
+def print_history(versions: Sequence[Version], others: int, console: Console) -> None:
+    """Print a line for each version, the oldest first."""
+    newest = versions[-1]
+    plain_line(console, ": ".join(filter(None, (newest.subject, one_line(newest.question[-1])))), "bold")
+    rows = [HEAD, *map(_cells, versions)]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(HEAD))]
+    for number, row in enumerate(rows):
+        cells = [
+            cell.rjust(width) if name.startswith("at ") else cell.ljust(width)
+            for name, cell, width in zip(HEAD, row, widths, strict=True)
+        ]
+        line = Text("  ".join(cells).rstrip(), "" if number else "bold")
+        if number:
+            verdict = versions[number - 1].verdict
+            line.stylize(COLOURS[verdict], len(line) - len(verdict))
+        console.print(line, soft_wrap=True)
+    if others:
+        plain_line(console, f"{counted(others, 'finished campaign')} in this folder with another question left out")
+
+
+def _cells(each: Version) -> tuple[str, ...]:
+    ended = datetime.fromtimestamp(each.ended, UTC).strftime("%Y-%m-%d %H:%M")
+    low, high = (
+        "" if end is None else f"{outward(end, sense)} {each.unit}".rstrip()
+        for end, sense in ((each.lower, ">="), (each.upper, "<="))
+    )
+    chance = "refuted" if each.refuted else outward(each.probability, ">=")
+    found = (str(each.directory), ended, each.revision or "", low, high, chance, each.verdict)
+    return tuple(map(one_line, found))
