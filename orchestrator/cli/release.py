@@ -11,6 +11,7 @@ from .early import check_directory, check_folder
 from .exits import resumable
 from .group import RUN_DIRECTORY, cli, output_console
 from .link_options import link_of, link_options
+from .signing import load_key
 from .stderr import STDERR
 
 FAILED, UNREADABLE = 3, 1
@@ -31,6 +32,13 @@ def _each_there(context: click.Context, parameter: click.Parameter, directories:
 @click.option("--sarif", type=FILE, default=None, help="Also write what fails, and counterexamples, as SARIF 2.1.0.")
 @click.option("--markdown", type=FILE, default=None, help="Also append a summary to this file, for a pull request.")
 @click.option(
+    "--attestation",
+    type=FILE,
+    default=None,
+    help="Also write an in-toto test-result attestation of the certificates; with --sign in its envelope.",
+)
+@click.option("--sign", type=FILE, default=None, metavar="KEY", help="Sign the attestation with this private key.")
+@click.option(
     "--campaign",
     "campaigns",
     type=FILE,
@@ -50,6 +58,8 @@ def gate(
     junit: Path | None,
     sarif: Path | None,
     markdown: Path | None,
+    attestation: Path | None,
+    sign: Path | None,
     campaigns: tuple[Path, ...],
     system: str | None,
 ) -> None:
@@ -65,6 +75,9 @@ def gate(
     from ..release.gate.rules import judged  # noqa: PLC0415
     from ..release.gate.subject import read_subject  # noqa: PLC0415
 
+    if sign is not None and attestation is None:
+        raise click.UsageError("--sign signs the attestation: give --attestation FILE as well")
+    key = None if sign is None else load_key(sign)
     rules = load_policy(policy)
     with Progress(console=STDERR.console, transient=True, disable=not sys.stderr.isatty()) as progress:
         found = judged(rules, [read_subject(each, rules, system, stage_bars(progress)) for each in directories])
@@ -73,6 +86,12 @@ def gate(
         atomic.write_whole(junit, outputs.to_junit(found).encode())
     if sarif is not None:
         atomic.write_whole(sarif, outputs.to_sarif(found, campaigns).encode())
+    if attestation is not None:
+        from ..certificate.signing.sign import sign as signed  # noqa: PLC0415
+        from ..release.gate.attestation import to_attestation  # noqa: PLC0415
+
+        statement = to_attestation(found, policy, policy.read_bytes())
+        atomic.write_whole(attestation, statement if key is None else signed(statement, key))
     if markdown is not None:
         with markdown.open("a", encoding="utf-8") as file:  # the summary of a job is one file for all its steps
             file.write(outputs.to_markdown(found))

@@ -1,5 +1,6 @@
 """The facts on one run directory that rules judge: certificate, verification, verdict, age, signatures."""
 
+import hashlib
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from ...certificate.verify.run import Verification, verify_certificate
 from ...certificate.verify.stages import Report
 from ...run.directory import finished_certificate
 from ...run.known import Finished, finished
+from ...store.files import contents
 from .policy import Policy
 
 NEEDED = {"database": "the verdict counts the violations in these tables"}
@@ -35,6 +37,8 @@ class Subject:
     """By public key, why its signature does not count."""
     resimulated: str = ""
     """What was simulated again."""
+    sha256: str = ""
+    """Of the certificate."""
 
     @property
     def name(self) -> str:
@@ -50,22 +54,29 @@ def read_subject(directory: Path, policy: Policy, system: str | None, report: Re
 
     """
     try:
-        certificate, verified = finished_certificate(directory), None
+        certificate, verified, sha256 = finished_certificate(directory), None, _sha256(directory)
         if policy.verifies:
             verified = verify_certificate(directory, key=None, again=policy.resimulated, report=report, system=system)
             if failed := _failed_checks(verified, policy):
-                return Subject(directory, None, failed_checks=failed)
+                return Subject(directory, None, failed_checks=failed, sha256=sha256)
             # The file may have changed since; what was verified is judged.
             certificate = verified.certificate or certificate
+        if _sha256(directory) != sha256:
+            return Subject(directory, None, "the certificate was changed while it was judged; judge it again")
         return Subject(
             directory,
             finished(directory, certificate),
             checks=0 if verified is None else sum(each.status == "passed" for each in verified.checks.lines()),
             unsigned={key: why for key in policy.signed_by if (why := _unsigned(directory, load_public(Path(key))))},
             resimulated=verified.checks.found["resimulation"].detail if verified and policy.resimulated else "",
+            sha256=sha256,
         )
     except (PerfboundError, OSError) as error:
         return Subject(directory, None, one_line(str(error)))
+
+
+def _sha256(directory: Path) -> str:
+    return hashlib.sha256(contents(directory / files.CERTIFICATE, files.MAX_CERTIFICATE)).hexdigest()
 
 
 def _failed_checks(verified: Verification, policy: Policy) -> tuple[str, ...]:

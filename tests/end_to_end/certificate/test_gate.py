@@ -6,6 +6,7 @@ from xml.etree import ElementTree
 
 import pytest
 
+from perfbound.orchestrator.certificate.signing import keys, sign
 from tests.end_to_end.processes import Processes, contents
 
 CAMPAIGN = Path(__file__).parents[2] / "fixtures" / "finished" / "sample.toml"
@@ -31,6 +32,15 @@ def test_a_gate_is_green_red_or_unreadable(started: Processes) -> None:
         assert [each["ruleId"] for each in json.loads(sarif.read_text())["runs"][0]["results"]][:1] == ["at_most"]
         assert summary.read_text().count("GATE FAILED") == times, "a summary is appended"
     assert contents(run) == before
+    keys.new_pair(started.folder, "ci")
+    attestation = started.folder / "gate.intoto.json"
+    signed = ("--attestation", attestation, "--sign", started.folder / "ci.key")
+    assert started.run(*gate, *signed).code == 3
+    public = keys.load_public(started.folder / "ci.pub")
+    statement = json.loads(sign.signed_payload(attestation.read_bytes(), public))
+    assert statement["predicate"]["result"] == "FAILED"
+    assert statement["subject"][0]["name"] == f"{run}/certificate.json"
+    assert started.run(*gate, *signed[2:]).code == 2
     policy.write_text("at_mst = 0.1\n")
     ended = started.run(*gate)
     assert ended.code == 1

@@ -1,5 +1,6 @@
 """The gate: each policy fails for its own reason, and its outputs say which."""
 
+import hashlib
 import json
 import re
 import shutil
@@ -13,6 +14,9 @@ import pytest
 
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.signing import keys, sign
+from perfbound.orchestrator.certificate.verify.run import Verification, verify_certificate
+from perfbound.orchestrator.release.gate import subject
+from perfbound.orchestrator.release.gate.attestation import PREDICATE_TYPE, to_attestation
 from perfbound.orchestrator.release.gate.outputs import conclusion, to_junit, to_markdown, to_sarif
 from perfbound.orchestrator.release.gate.policy import Policy, load_policy
 from perfbound.orchestrator.release.gate.rules import Finding, Judgement, judged
@@ -20,6 +24,7 @@ from perfbound.orchestrator.release.gate.subject import read_subject
 from perfbound.orchestrator.run.known import Finished
 from perfbound.orchestrator.store.read import last_outcome
 from perfbound.schemas.errors import PerfboundError
+from perfbound.schemas.result.certificate import STATEMENT_TYPE
 from perfbound.schemas.rollout import RolloutRequest
 from tests.facts import facts, says
 from tests.fakes.simulators import robustness, simulate
@@ -363,3 +368,54 @@ def test_the_page_has_every_key_with_its_default() -> None:
     assert Policy() == Policy(**defaults)
     given = {"margin", "at_most", "probability", "constants", "max_age", "assumptions", "requirements", "signed_by"}
     assert rows.keys() - defaults == given | {"software"}, "without them nothing is asked"
+
+
+# The attestation
+
+
+def test_the_attestation_says_which_rules_held_of_which_certificates(runs: Path) -> None:
+    policy = b"margin = 0.1\n"
+    found = json.loads(to_attestation(judge(runs, policy.decode(), "good", "bad"), Path("p.toml"), policy))
+    assert (found["_type"], found["predicateType"]) == (STATEMENT_TYPE, PREDICATE_TYPE)
+    digests = {each["name"]: each["digest"]["sha256"] for each in found["subject"]}
+    assert digests == {
+        f"{runs / name}/certificate.json": hashlib.sha256((runs / name / "certificate.json").read_bytes()).hexdigest()
+        for name in ("good", "bad")
+    }
+    predicate = found["predicate"]
+    assert predicate["result"] == "FAILED"
+    assert predicate["configuration"] == [{"name": "p.toml", "digest": {"sha256": hashlib.sha256(policy).hexdigest()}}]
+    assert predicate["passedTests"] == [
+        *(f"{runs / 'good'}: {rule}" for rule in ("verified", "verdict", "margin")),
+        f"{runs / 'bad'}: verified",
+    ]
+    assert predicate["failedTests"] == [f"{runs / 'bad'}: {rule}" for rule in ("verdict", "margin")]
+    good = json.loads(to_attestation(judge(runs, "", "good"), Path("p.toml"), b""))
+    assert (good["predicate"]["result"], good["predicate"]["failedTests"]) == ("PASSED", [])
+
+
+def test_what_cannot_be_read_is_no_subject_and_fails(runs: Path, tmp_path: Path) -> None:
+    shutil.copytree(runs / "good", tmp_path / "run")
+    (tmp_path / "run" / files.CERTIFICATE).write_text("{")
+    found = [read_subject(tmp_path / "run", Policy(), None, lambda *_: None)]
+    statement = json.loads(to_attestation(judged(Policy(), found), Path("p.toml"), b""))
+    assert statement["subject"] == []
+    assert statement["predicate"]["failedTests"] == [f"{tmp_path / 'run'}: unreadable"]
+
+
+def test_a_certificate_that_changes_meanwhile_is_not_judged(
+    runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(runs / "good", tmp_path / "run")
+    path = tmp_path / "run" / files.CERTIFICATE
+
+    own = verify_certificate
+
+    def verify(directory: Path, **options: Any) -> Verification:
+        found = own(directory, **options)
+        path.write_text(path.read_text() + "\n")
+        return found
+
+    monkeypatch.setattr(subject, "verify_certificate", verify)
+    (found,) = judged(Policy(), [read_subject(tmp_path / "run", Policy(), None, lambda *_: None)])
+    assert "changed while it was judged" in found.fault
