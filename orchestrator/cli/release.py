@@ -132,7 +132,7 @@ def _equal(_context: click.Context, _parameter: click.Parameter, given: tuple[st
 )
 @click.option(
     "--delta",
-    type=click.FloatRange(0, 1, min_open=True, max_open=True),
+    type=click.FloatRange(1e-9, 0.5),
     default=0.05,
     show_default=True,
     help="Failure probability of all intervals together.",
@@ -157,7 +157,9 @@ def _equal(_context: click.Context, _parameter: click.Parameter, given: tuple[st
     multiple=True,
     help="Exit with 3 where a difference has this verdict; may be repeated.",
 )
-@click.option("--seed", type=click.IntRange(0, 2**53 - 1), default=None, help="Other draws.  [default: that of A]")
+@click.option(
+    "--seed", type=click.IntRange(0, 2**53 - 1), default=None, help="Other draws.  [default: that of the files]"
+)
 @click.option("--workers", type=click.IntRange(0, 256), default=2, show_default=True, help="Local worker processes.")
 @link_options
 def compare(

@@ -25,7 +25,9 @@ from ..run.known import finished
 from ..store.export_tables import robustness_unit
 from ..store.read import last_outcome, system_revision
 
-HEAD = ("campaign", "ended (UTC)", "version", "at least", "at most", "probability", "verdict")
+HEAD = ("campaign", "ended (UTC)", "version", "at least", "at most", "each with probability", "verdict of all")
+OF_QUESTION = ("space", "where", "candidates", "beyond", "clip", "horizon")
+"""The keys of a campaign file that decide what is asked, besides the specification."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +39,8 @@ class Version:
     """Unix time of its last rollout."""
     revision: str | None
     """The commit of its system, where git knew one."""
-    question: tuple[str, float | None, str]
-    """Quantity, level and formula, those of all versions of a history."""
+    question: tuple[str, ...]
+    """Quantity, level, formula, starts and clip, those of all versions of a history."""
     subject: str
     """What the bounds are about, in words."""
     lower: float | None
@@ -78,8 +80,8 @@ def _version(directory: Path, requirement: str | None) -> Version | None:
     campaign = finished(directory, certificate)
     config, predicate = campaign.header.config, campaign.predicate
     named = _named(config, requirement)
-    if requirement is not None and named is None:
-        return None
+    if config.draws is not None or (requirement is not None and named is None):
+        return None  # the campaigns of a comparison are no versions
     name, formula = named or (None, config.formula)
     claim = next((each for each in predicate.claims if each.requirement == name), None)
     if claim is None:
@@ -90,7 +92,7 @@ def _version(directory: Path, requirement: str | None) -> Version | None:
         directory,
         last_outcome(directory) or last_change(directory),
         system_revision(directory),
-        (claim.quantity, claim.level, formula or ""),
+        (claim.quantity, str(claim.level), formula or "", *(str(getattr(config, key)) for key in OF_QUESTION)),
         claim_words(claim),
         lower,
         upper,
@@ -103,6 +105,8 @@ def _version(directory: Path, requirement: str | None) -> Version | None:
 
 def _named(config: CampaignConfig, requirement: str | None) -> tuple[str, str] | None:
     """Return name and formula of the requirement with this id or name; None where the campaign has none such."""
+    if requirement is None:
+        return None
     wanted = (each for each in config.specifications if requirement in (each.name, each.id))
     return next(((each.name, each.formula) for each in wanted), None)
 
@@ -117,7 +121,7 @@ def _partner(predicate: Predicate, claim: CertificateClaim) -> float | None:
 def print_history(versions: Sequence[Version], others: int, console: Console) -> None:
     """Print a line for each version, the oldest first."""
     newest = versions[-1]
-    plain_line(console, ": ".join(filter(None, (newest.subject, one_line(newest.question[-1])))), "bold")
+    plain_line(console, ": ".join(filter(None, (newest.subject, one_line(newest.question[2])))), "bold")
     rows = [HEAD, *map(_cells, versions)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(HEAD))]
     for number, row in enumerate(rows):

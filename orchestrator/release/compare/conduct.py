@@ -1,6 +1,7 @@
 """A comparison from its first pair to its document: both campaigns grow together, and what they show is judged."""
 
 import hashlib
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,10 +11,11 @@ from rich.console import Console
 
 from ....schemas.atomic import write_whole
 from ....schemas.errors import PerfboundError
+from ....schemas.result.certificate import Certificate
 from ....schemas.result.comparison import ComparedQuantity, ComparedSystem, Comparison
 from ...certificate import files
 from ...mathematics.gp.kernels import Floats
-from ...run.directory import stored_differently
+from ...run.directory import check_vacant, stored_differently
 from ...run.options import RunOptions
 from ...run.session import resume_campaign, start_campaign
 from ...store.export_tables import robustness_unit
@@ -21,7 +23,7 @@ from ...store.progress import read_progress
 from ...store.read import stored_header, system_revision
 from ...store.robustness import read_values
 from ...store.rows import DATABASE
-from .differences import Pairs, differences, overall
+from .differences import Pairs, differences, overall, quantities
 from .systems import FIRST, Compared, in_common, looks
 
 COMPARISON, REPORT = "comparison.json", "comparison.html"
@@ -51,11 +53,13 @@ def compare_pairs(
         Stopped: a signal arrived.
 
     """
+    check_equal(terms.equal, quantities(systems[0].config.clip, listed=bool(systems[0].listed)))
     first = min(FIRST, terms.most_pairs) if terms.until_decided else terms.most_pairs
     both = _begun(systems, out, first)
     for number in looks(terms.most_pairs, first):
         for directory, system in both.items():
             _grow(directory, system, number, options, console)
+            ended(directory, system)
         pairs, starts = recorded_pairs(both, number)
         found = judged(both, pairs, terms)
         if all(each.verdict != "UNDECIDED" for each in found.differences):
@@ -90,9 +94,51 @@ def in_folder(systems: Sequence[Compared], out: Path) -> dict[Path, Compared]:
     """
     found = dict(zip([out / side for side in SIDES], systems, strict=True))
     for directory, system in found.items():
-        if (directory / DATABASE).exists() and (unlike := stored_differently(directory, system.config)):
+        if not (directory / DATABASE).exists():
+            check_vacant(directory, system.config)
+            continue
+        if unlike := stored_differently(directory, system.config):
             raise PerfboundError(f"{out}: the comparison here differs from this one: {unlike}; choose another --out")
+        _check_system(directory, system)
     return found
+
+
+def check_equal(equal: Mapping[ComparedQuantity, float], compared: Sequence[ComparedQuantity]) -> None:
+    """Refuse a difference that does not matter, of a quantity that is not compared.
+
+    Raises:
+        PerfboundError: there is one.
+
+    """
+    for quantity in equal:
+        if quantity not in compared:
+            raise PerfboundError(f"--equal: {quantity} is not compared here, but {', '.join(compared)}; leave it out")
+
+
+def _check_system(directory: Path, system: Compared) -> None:
+    if stored_header(directory).spec.digest != system.header.spec.digest:
+        raise PerfboundError(
+            f"{directory}: was simulated with other sources of the system than {system.given} has now; restore them, "
+            "or compare anew with another --out"
+        )
+
+
+def ended(directory: Path, system: Compared) -> Certificate:
+    """Return the certificate of one system, whose claim rests on no refuted assumption.
+
+    Raises:
+        PerfboundError: it does, or the system was changed meanwhile.
+
+    """
+    _check_system(directory, system)
+    certificate = files.read(directory)
+    assert certificate is not None, "the campaign has ended"
+    if refuted := certificate.predicate.claims[0].refuted:
+        raise PerfboundError(
+            f"{directory}: the certificate refutes {', '.join(refuted)}, so that nothing can be compared; "
+            f"`perfbound show {shlex.quote(str(directory))}` says why"
+        )
+    return certificate
 
 
 def run_to_end(directory: Path, system: Compared, options: RunOptions, console: Console) -> None:

@@ -12,7 +12,7 @@
 A pair has one start and one seed. Pairs are independent with one law, so that a mean of b_i - a_i, which lies within
 high - low of 0, has an interval that holds after every pair, see `mean_interval`: what both rollouts share is in none
 of the differences. A failure counts 1, so that the difference of two failure probabilities is the mean of 1, 0 or -1,
-and only pairs of which one fails count.
+and only pairs of which one fails count. A robustness of 0 is read against each side of the interval.
 
 Worst listed start: min_k (mu_k + D_k) - min_k mu_k. Let M = min_k u_k, which no least mu is above. Where start k is the
 worst of B, the difference is mu_k + D_k - min_j mu_j, at least d_k + max(0, l_k - M): a start that is surely not the
@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ....schemas.result.comparison import ComparedQuantity, ComparisonVerdict, Difference
 from ...mathematics.bounds.one_law.interval import mean_interval
@@ -63,18 +64,18 @@ def differences(pairs: Pairs, delta: float, equal: Mapping[ComparedQuantity, flo
 
     `equal` has differences that do not matter, each in the unit of its quantity. There is at least one pair.
     """
-    found = quantities(pairs)
+    found = quantities(pairs.clip, listed=pairs.start is not None)
     return tuple(
         judged(quantity, INTERVALS[quantity](pairs, delta / len(found)), equal.get(quantity), pairs.unit)
         for quantity in found
     )
 
 
-def quantities(pairs: Pairs) -> tuple[ComparedQuantity, ...]:
-    """Return what can be compared: without a clip no mean has a bound."""
-    if pairs.clip is None:
+def quantities(clip: tuple[float, float] | None, *, listed: bool) -> tuple[ComparedQuantity, ...]:
+    """Return what can be compared: without a clip no mean has a bound, and only of listed starts that of the worst."""
+    if clip is None:
         return ("failure_probability",)
-    return ("mean", "failure_probability", *(("worst_start",) if pairs.start is not None else ()))
+    return ("mean", "failure_probability", *(("worst_start",) if listed else ()))
 
 
 def mean_difference(pairs: Pairs, delta: float) -> Interval:
@@ -85,10 +86,18 @@ def mean_difference(pairs: Pairs, delta: float) -> Interval:
 
 
 def failure_difference(pairs: Pairs, delta: float) -> Interval:
-    """Return the difference of the failure probabilities; a robustness of 0 counts as a violation."""
-    a, b = (np.asarray(each <= 0.0, dtype=np.float64) for each in (pairs.a, pairs.b))
-    lower, upper = mean_interval(b - a, (-1.0, 1.0), delta, about=0.0)
-    return Interval(float(a.mean()), float(b.mean()), lower, upper)
+    """Return the difference of the failure probabilities; a robustness of 0 may be a violation, and may be none."""
+    certain, possible = ((pairs.a < 0.0, pairs.b < 0.0), (pairs.a <= 0.0, pairs.b <= 0.0))
+    least, most = _less(certain[1], possible[0]), _less(possible[1], certain[0])
+    lower, upper = mean_interval(least, (-1.0, 1.0), delta, about=0.0)
+    if not np.array_equal(least, most):
+        # Each side has half of delta, of whichever values.
+        upper = mean_interval(most, (-1.0, 1.0), delta, about=0.0)[1]
+    return Interval(float(certain[0].mean()), float(certain[1].mean()), lower, upper)
+
+
+def _less(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> Floats:
+    return one.astype(np.float64) - other.astype(np.float64)
 
 
 def worst_start_difference(pairs: Pairs, delta: float) -> Interval:
@@ -101,7 +110,7 @@ def worst_start_difference(pairs: Pairs, delta: float) -> Interval:
     middle = (pairs.clip[0] + pairs.clip[1]) / 2
 
     def interval(values: Floats, ends: tuple[float, float], about: float) -> tuple[float, float]:
-        if pairs.exact and len(values):
+        if pairs.exact and len(values) and (values == values[0]).all():
             return float(values[0]), float(values[0])
         return mean_interval(values, ends, each, about=about)
 
@@ -153,18 +162,20 @@ def judged(quantity: ComparedQuantity, found: Interval, equal: float | None, uni
 def verdict(
     lower: float, upper: float, better: Literal["larger", "smaller"], equal: float | None = None
 ) -> ComparisonVerdict:
-    """Return what an interval of B - A says of B; a difference within `equal` does not matter, also one above 0.
+    """Return what an interval of B - A says of B; with `equal`, better and worse are so by more than this.
 
     >>> verdict(0.1, 0.3, "larger"), verdict(0.1, 0.3, "smaller"), verdict(-0.1, 0.3, "larger")
     ('BETTER', 'WORSE', 'UNDECIDED')
-    >>> verdict(-0.1, 0.05, "larger", 0.1), verdict(0.01, 0.05, "smaller", 0.1)
-    ('EQUAL', 'EQUAL')
+    >>> verdict(-0.1, 0.05, "larger", 0.1), verdict(0.2, 0.5, "smaller", 0.1), verdict(0.05, 0.5, "smaller", 0.1)
+    ('EQUAL', 'WORSE', 'UNDECIDED')
 
     """
-    if equal is not None and -equal <= lower and upper <= equal:
+    # Nothing between: what more pairs decide cannot turn round, so that a stop may wait for it.
+    margin = equal or 0.0
+    if equal is not None and -margin <= lower and upper <= margin:
         return "EQUAL"
-    if lower > 0.0 or upper < 0.0:
-        return "BETTER" if (lower > 0.0) == (better == "larger") else "WORSE"
+    if lower > margin or upper < -margin:
+        return "BETTER" if (lower > margin) == (better == "larger") else "WORSE"
     return "UNDECIDED"
 
 

@@ -15,6 +15,8 @@ from .outputs import NAMES
 
 FULL = 7.0
 """Width of a figure in inches."""
+MOST_DOTS = 3000
+"""Of a colour: each takes a hundred bytes of the page."""
 MOST_COLUMNS = 6
 """Panels of two trajectories."""
 
@@ -43,7 +45,7 @@ def intervals_figure(course: Sequence[tuple[int, Sequence[Difference]]]) -> byte
 
 
 def pairs_figure(a: Floats, b: Floats, unit: str) -> bytes:
-    """Return an SVG with a dot for each pair: the robustness of B over that of A."""
+    """Return an SVG with a dot for each pair, of very many for some: the robustness of B over that of A."""
     with style.new_figure(3.6, 3.6) as figure:
         axes: Axes = figure.subplots()
         low, high = float(min(a.min(), b.min())), float(max(a.max(), b.max()))
@@ -57,7 +59,8 @@ def pairs_figure(a: Floats, b: Floats, unit: str) -> bytes:
             (only_b, RED, "B alone fails"),
         ]
         for chosen, colour, label in groups:
-            axes.scatter(a[chosen], b[chosen], 6, color=colour, alpha=0.6, linewidths=0, zorder=2)
+            drawn = np.flatnonzero(chosen)[:: 1 + int(chosen.sum()) // MOST_DOTS]
+            axes.scatter(a[drawn], b[drawn], 6, color=colour, alpha=0.6, linewidths=0, zorder=2)
             axes.plot([], [], "o", color=colour, markersize=3, label=f"{label}: {int(chosen.sum()):,}")
         axes.set_xlabel(style.with_unit("robustness of A", unit))
         axes.set_ylabel(style.with_unit("robustness of B", unit))
@@ -69,7 +72,8 @@ def pairs_figure(a: Floats, b: Floats, unit: str) -> bytes:
 
 def trajectories_figure(spec: SystemSpec, a: Trajectory, b: Trajectory, first: Collection[str]) -> bytes:
     """Return an SVG with both trajectories of a pair over one another; the columns `first` come first."""
-    columns = sorted(spec.columns[1:], key=lambda each: each.name not in first)[:MOST_COLUMNS]
+    common = [each for each in spec.columns[1:] if each.name in b.columns]
+    columns = sorted(common, key=lambda each: each.name not in first)[:MOST_COLUMNS]
     with style.new_figure(0.9 * len(columns) + 0.5, FULL) as figure:
         panels = figure.subplots(len(columns), 1, sharex=True, squeeze=False)[:, 0]
         for axes, column in zip(panels, columns, strict=True):

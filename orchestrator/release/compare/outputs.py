@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from ....schemas.amounts import counted
@@ -37,13 +36,14 @@ def print_comparison(found: Comparison, console: Console) -> None:
     for line in system_lines(found):
         plain_line(console, line)
     console.print()
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for title in ("", "A", "B", "B - A", "verdict"):
-        table.add_column(title, justify="left" if title in ("", "verdict") else "right", no_wrap=True)
-    for each in found.differences:
-        *cells, verdict = row(each)
-        table.add_row(*map(Text, cells), Text(verdict, STYLES[each.verdict]))
-    console.print(table)
+    rows = [("", "A", "B", "B - A", "verdict"), *map(row, found.differences)]
+    widths = [max(len(each[column]) for each in rows) for column in range(len(rows[0]))]
+    for number, (first, *numbers, verdict) in enumerate(rows):
+        cells = [first.ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(numbers, widths[1:], strict=False))]
+        text = Text("  ".join(cells), "" if number else "bold").append(f"  {verdict}")
+        if number:
+            text.stylize(STYLES[found.differences[number - 1].verdict], len(text) - len(verdict))
+        console.print(text, soft_wrap=True)
     console.print()
     hanging(console, Text(), " ".join(sentences(found)))
     heading(console, conclusion(found), STYLES[found.verdict])

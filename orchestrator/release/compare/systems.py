@@ -12,18 +12,19 @@ from ....schemas.file.space import Scenarios
 from ....schemas.result.comparison import Common
 from ....schemas.result.facts import Header
 from ....schemas.system import SystemSpec
+from ...mathematics.stl.parser import parse_formula
+from ...mathematics.stl.tree import columns
 from ...run.session import system_of
 from ...store import read
 
-KEPT = (
-    *("horizon", "clip", "specification", "specifications", "beyond", "space", "where", "disturbances", "system"),
-    *("batch", "recheck", "max_attempts", "hung_after", "deadline", "platform"),
-)
+QUESTION = ("horizon", "clip", "specification", "specifications", "beyond", "space", "where")
+"""The keys in which two campaigns that are compared agree."""
+OWN = ("system", "disturbances", "batch", "keep", "recheck", "second_opinion")
+OF_MACHINES = ("max_attempts", "hung_after", "deadline", "platform")
+KEPT = (*QUESTION, *OWN, *OF_MACHINES)
 """The keys of a campaign file that a comparison takes over."""
 OF_REQUIREMENT = ("name", "formula", "id", "text", "link")
 """The keys of a requirement that are none of a bound."""
-OWN = ("system", "name")
-"""The keys in which the campaigns of two systems may differ."""
 FIRST = 50
 """Pairs after which a comparison that may end early looks for the first time."""
 RECHECK = 5
@@ -78,7 +79,7 @@ def paired(a: Compared, b: Compared, seed: int | None = None) -> tuple[Compared,
     """
     seed = a.config.seed if seed is None else seed
     questions = [_campaign(each, {"seed": seed}) for each in (a, b)]
-    unlike = [line for line in differences(*questions) if line.partition(" ")[0].partition(".")[0] not in OWN]
+    unlike = [line for line in differences(*questions) if _is_of_question(line.partition(" ")[0])]
     if unlike:
         more = f"; and {len(unlike) - 3} more" if len(unlike) > 3 else ""
         raise CampaignError(
@@ -95,14 +96,36 @@ def paired(a: Compared, b: Compared, seed: int | None = None) -> tuple[Compared,
             f"{a.given} and {b.given}: the parameters of a start are {words[0]}, and {words[1]}; give both systems the "
             "same ones in one order"
         )
+    _check_columns(first, second)
     return first, second
+
+
+def _is_of_question(key: str) -> bool:
+    """Whether a key decides what is asked; the words of a requirement do not."""
+    first, *others = key.split(".")
+    return first in QUESTION and not (first == "specifications" and others[-1:] in (["id"], ["text"], ["link"]))
+
+
+def _check_columns(a: Compared, b: Compared) -> None:
+    """Refuse systems that do not both have the columns of the specification, in the same units."""
+    units = [{each.name: each.unit for each in one.header.spec.columns} for one in (a, b)]
+    for name in sorted(columns(parse_formula(a.config.formula or "0 >= 0"))):
+        found = [each.get(name) for each in units]
+        if None in found or found[0] != found[1]:
+            words = ["no such column" if each is None else f"in {each or '1'}" for each in found]
+            raise CampaignError(
+                f"{a.given} and {b.given}: column {name} of the specification: {words[0]}, and {words[1]}; give both "
+                "systems the same one"
+            )
 
 
 def in_common(a: Compared, b: Compared) -> tuple[Common, ...]:
     """Return what the two rollouts of a pair share."""
     one, other = a.header, b.header
     found: list[Common] = ["starts"]
-    alike = one.claimed_variant == other.claimed_variant or bool(one.spec.disturbances and other.spec.disturbances)
+    declared = bool(one.spec.disturbances), bool(other.spec.disturbances)
+    # The seed of a rollout depends on its variant, unless disturbances are declared.
+    alike = all(declared) or (not any(declared) and one.claimed_variant == other.claimed_variant)
     if alike and one.spec.seed_bits == other.spec.seed_bits:
         found.append("seeds")
         if one.spec.disturbances and one.spec.disturbances == other.spec.disturbances:
@@ -134,6 +157,7 @@ def _campaign(compared: Compared, keys: dict[str, Any]) -> CampaignConfig:
     if compared.listed:
         # Rows of a table are drawn: equally often on average, and with one law.
         table["space"] = {"table": table["space"]["scenarios"]}
-    table = {"recheck": RECHECK} | table
+    if "recheck" not in compared.config.model_fields_set:
+        table["recheck"] = RECHECK
     table |= {"name": compared.config.name, "visual": "none", "anytime": True, **keys}
     return validated(table | {"problems": [{"name": "robustness", "method": "sample"}]}, table, str(compared.given))

@@ -19,12 +19,12 @@ from ....schemas.errors import CampaignError, PerfboundError
 from ....schemas.file.problem_models import RigorousProblem, ScenarioProblem
 from ....schemas.result.certificate import Certificate
 from ....schemas.result.comparison import Comparison
-from ...certificate import files
 from ...certificate.counter_evidence import other_side
+from ...certificate.words.text import claim_words
 from ...mathematics.bounds.rounding import round_down, round_up
 from ...run.options import RunOptions
 from ...store.export_tables import robustness_unit
-from .conduct import Terms, document, in_folder, run_to_end, write
+from .conduct import Terms, check_equal, document, ended, in_folder, run_to_end, write
 from .differences import Interval, judged, overall
 from .systems import Compared
 
@@ -49,6 +49,12 @@ def bounded(systems: Sequence[Compared], seed: int | None, delta: float) -> list
         halved = (problem.model_copy(update={"delta": delta / 2}),)
         update = {"problems": halved, "seed": config.seed if seed is None else seed}
         found.append(replace(system, config=config.model_copy(update=update)))
+    listed = [each.config.starts_of(each.config.problems[0]) for each in found]
+    if listed[0] != listed[1]:
+        words = " and ".join("every start" if each is None else f"{each} starts" for each in listed)
+        raise CampaignError(
+            f"{systems[0].given} and {systems[1].given}: are about {words} of the box; give both the same `candidates`"
+        )
     return found
 
 
@@ -62,14 +68,17 @@ def compare_worst(
         Stopped: a signal arrived.
 
     """
+    check_equal(terms.equal, ("worst_case",))
     both = in_folder(systems, out)
-    ends = []
+    certificates = []
     for directory, system in both.items():
         run_to_end(directory, system, options, console)
-        certificate = files.read(directory)
-        assert certificate is not None, "the campaign has ended"
-        ends.append(_ends(directory, certificate))
-    (low_a, high_a), (low_b, high_b) = ends
+        certificates.append(ended(directory, system))
+    about = [each.predicate.claims[0] for each in certificates]
+    if len({(each.quantity, each.starts) for each in about}) > 1:
+        words = " and ".join(map(claim_words, about))
+        raise PerfboundError(f"{out}: the bounds are about {words}; give both campaigns the same candidates and noise")
+    (low_a, high_a), (low_b, high_b) = map(_ends, both, certificates)
     one, a, b = systems[0], *(document(*each) for each in both.items())
     interval = Interval(
         (low_a + high_a) / 2, (low_b + high_b) / 2, round_down(low_b - high_a), round_up(high_b - low_a)
@@ -94,11 +103,9 @@ def compare_worst(
 
 def _ends(directory: Path, certificate: Certificate) -> tuple[float, float]:
     """Return the bounds of a worst case from below and from above."""
-    claim, upper = certificate.predicate.claims[0], other_side(certificate.predicate)
-    if claim.refuted or upper is None:
-        reason = f"refutes {', '.join(claim.refuted)}" if claim.refuted else "has no bound from the other side"
+    upper = other_side(certificate.predicate)
+    if upper is None:
         raise PerfboundError(
-            f"{directory}: the certificate {reason}, so that nothing can be compared; give its campaign file other "
-            "constants, and compare with another --out"
+            f"{directory}: the certificate has no bound from the other side, so that nothing can be compared"
         )
-    return claim.bound, upper
+    return certificate.predicate.claims[0].bound, upper

@@ -15,7 +15,8 @@ from rich.console import Console
 
 from perfbound.orchestrator.release.compare import conduct
 from perfbound.orchestrator.release.compare.conduct import COMPARISON, REPORT, Terms, compare_pairs
-from perfbound.orchestrator.release.compare.outputs import print_comparison
+from perfbound.orchestrator.release.compare.outputs import print_comparison, row
+from perfbound.orchestrator.release.compare.report import _table
 from perfbound.orchestrator.release.compare.systems import Compared, in_common, paired
 from perfbound.orchestrator.release.compare.worst_case import bounded, compare_worst
 from perfbound.orchestrator.run.extend import extend_campaign
@@ -29,12 +30,12 @@ from perfbound.schemas.file.disturbance import Disturbance
 from perfbound.schemas.link.configuration import LOCAL
 from perfbound.schemas.result.comparison import Comparison
 from perfbound.schemas.rollout import RolloutRequest
-from perfbound.schemas.system import SystemSpec
+from perfbound.schemas.system import Column, SystemSpec
 from tests.facts import facts
 from tests.fakes.simulators import Function, noise, robustness, simulate, spec
 
 RIGOROUS = {"method": "rigorous", "alpha": 0.1, "rkhs_norm": 2.0, "noise_scale": 0.0, "kernel": {"length_scale": 0.7}}
-NOISY = spec(noisy=True)
+NOISY, QUIET = spec(noisy=True), spec(noisy=False)
 OPTIONS = RunOptions(1, Link(LOCAL))
 
 
@@ -67,7 +68,6 @@ class Runs:
         monkeypatch.setattr(os, "fsync", lambda _: None)
 
     def start(self, config: CampaignConfig, source: Path, directory: Path, options: RunOptions, _: Console) -> None:
-        assert source.stem == options.system
         self._simulate(directory, config)
 
     def resume(self, directory: Path, _options: RunOptions, _: Console, max_tests: int | None = None) -> None:
@@ -181,6 +181,25 @@ def test_different_questions_are_refused_with_both_answers(changes: dict[str, An
         paired(system("a"), system("b", **changes))
 
 
+def test_other_words_of_a_requirement_and_other_limits_are_the_same_question() -> None:
+    part = {"name": "low", "formula": "value >= 0"}
+    one = system("a", specification=None, specifications=[part | {"id": "R-1", "text": "old"}], deadline=20.0)
+    other = system("b", specification=None, specifications=[part | {"text": "new"}], keep="all", second_opinion=0.5)
+    first, second = paired(one, other)
+    assert (first.config.deadline, second.config.second_opinion) == (20.0, 0.5)
+    assert first.config.draws == second.config.draws
+
+
+@pytest.mark.parametrize(
+    ("columns", "reason"),
+    [((("value", "cm"),), "column value 1 cm"), ((("other", "1"),), "column value 1 no such column")],
+)
+def test_a_column_of_the_specification_in_another_unit_is_refused(columns: Any, reason: str) -> None:
+    found = (NOISY.columns[0], *(Column(name=name, unit=unit) for name, unit in columns))
+    with pytest.raises(CampaignError, match=facts(reason)):
+        paired(system("a"), system("b", NOISY.model_copy(update={"columns": found})))
+
+
 def test_parameters_in_another_order_are_refused() -> None:
     turned = NOISY.model_copy(update={"parameters": NOISY.parameters[::-1]})
     with pytest.raises(CampaignError, match=facts("z1 z2 z2 z1 order")):
@@ -236,7 +255,7 @@ def test_another_comparison_in_the_folder_is_refused(run: Callable[..., Comparis
     with pytest.raises(PerfboundError, match=facts("out specification 'value >= 0' 'value >= 0.1' --out")):
         run(both(specification="value >= 0.1"))
     changed = system("b")
-    with pytest.raises(PerfboundError, match=facts("out draws --out")):
+    with pytest.raises(PerfboundError, match=facts("draws --out")):
         run(paired(system("a"), replace(changed, spec=changed.spec.model_copy(update={"doc": "changed"}))))
 
 
@@ -249,6 +268,50 @@ def test_listed_starts_are_compared_at_the_worst_of_them(run: Callable[..., Comp
     worst = found.differences[-1]
     assert worst.lower < -0.1 < worst.upper
     assert worst.a == pytest.approx(0.2, abs=0.1)
+
+
+def test_a_refuted_assumption_leaves_nothing_to_compare(run: Callable[..., Comparison], tmp_path: Path) -> None:
+    calls = iter(range(10**6))
+    run.runs.functions["b"] = lambda request: good(request) + 1e-3 * next(calls)  # type: ignore[attr-defined]
+    with pytest.raises(PerfboundError, match=facts("out/b refutes reproducible_rollouts nothing")):
+        run()
+    assert not (tmp_path / "out" / COMPARISON).exists()
+
+
+def test_a_system_that_was_changed_meanwhile_is_refused(run: Callable[..., Comparison], tmp_path: Path) -> None:
+    run()
+    one, other = both()
+    changed = replace(other, spec=other.spec.model_copy(update={"doc": "changed"}))
+    with pytest.raises(PerfboundError, match=facts("out/b sources b.toml --out")):
+        run((one, changed))
+
+
+def test_a_file_in_the_way_is_found_before_anything_is_simulated(
+    run: Callable[..., Comparison], tmp_path: Path
+) -> None:
+    (tmp_path / "out" / "b").mkdir(parents=True)
+    (tmp_path / "out" / "b" / "mine").write_text("")
+    with pytest.raises(PerfboundError, match=facts("out/b not empty")):
+        run()
+    assert run.runs.simulated == {"a": 0, "b": 0}  # type: ignore[attr-defined]
+
+
+def test_a_margin_of_what_is_not_compared_is_refused(run: Callable[..., Comparison]) -> None:
+    with pytest.raises(PerfboundError, match=facts("--equal worst_start mean failure_probability")):
+        run(equal={"worst_start": 1.0})
+
+
+def test_a_hostile_name_is_text_on_the_page_and_no_line_is_cut(run: Callable[..., Comparison], tmp_path: Path) -> None:
+    found = run(tuple(replace(each, given=Path("<script>&.toml")) for each in both()), most_pairs=5)
+    page = (tmp_path / "out" / REPORT).read_text()
+    assert "&lt;script&gt;&amp;.toml" in page
+    assert "<script" not in page
+    unit = found.differences[0].model_copy(update={"unit": "<b>"})
+    assert "mean robustness, &lt;b&gt;" in _table(("",), [row(unit)])
+    console = Console(width=30, file=io.StringIO(), force_terminal=True)
+    print_comparison(found, console)
+    assert isinstance(console.file, io.StringIO)
+    assert "UNDECIDED" in console.file.getvalue().splitlines()[6]
 
 
 def test_starts_that_differ_are_no_pairs(run: Callable[..., Comparison], tmp_path: Path) -> None:
@@ -283,7 +346,7 @@ def slope(request: RolloutRequest) -> float:
 
 
 def worst(out: Path, delta: float = 0.04, **changes: Any) -> Comparison:
-    systems = bounded((system("a", **changes), system("b", **changes)), None, delta)
+    systems = bounded((system("a", QUIET, **changes), system("b", QUIET, **changes)), None, delta)
     terms = Terms(1000, delta, {"worst_case": 0.3} if "equal" in out.name else {})
     return compare_worst(systems, out, terms, OPTIONS, Console(quiet=True))
 
@@ -311,13 +374,25 @@ def test_worst_cases_are_compared_by_bounds_from_both_sides(exact: Runs, tmp_pat
         worst(tmp_path / "out", 0.05, problems=[{"name": "robustness", **RIGOROUS, "alpha": 0.01}])
 
 
+def test_bounds_of_other_starts_are_no_comparison() -> None:
+    with pytest.raises(CampaignError, match=facts("a.toml b.toml 20 starts every start candidates")):
+        bounded((system("a", candidates=20), system("b")), None, 0.05)
+
+
+def test_worst_cases_of_a_changed_system_are_computed_anew(exact: Runs, tmp_path: Path) -> None:
+    worst(tmp_path / "out", resolution=3)
+    systems = bounded((system("a", QUIET, resolution=3), system("c", QUIET, resolution=3)), None, 0.04)
+    with pytest.raises(PerfboundError, match=facts("out/b sources c.toml --out")):
+        compare_worst(systems, tmp_path / "out", Terms(1000, 0.04, {}), OPTIONS, Console(quiet=True))
+
+
 def test_a_wide_tolerance_decides_nothing(exact: Runs, tmp_path: Path) -> None:
     assert worst(tmp_path / "out", resolution=3).verdict == "UNDECIDED"
 
 
 def test_a_refuted_bound_is_not_compared(exact: Runs, tmp_path: Path) -> None:
     problem = {"name": "robustness", **RIGOROUS, "rkhs_norm": 0.05}
-    with pytest.raises(PerfboundError, match=facts("out/a refutes rkhs_norm/robustness constants --out")):
+    with pytest.raises(PerfboundError, match=facts("out/a refutes rkhs_norm/robustness nothing show out/a")):
         worst(tmp_path / "out", problems=[problem])
 
 

@@ -31,14 +31,23 @@ def test_a_worse_and_a_better_system_are_found_in_both_directions() -> None:
     assert verdicts(pairs(good, bad)) == {"mean": "WORSE", "failure_probability": "WORSE"}
     assert verdicts(pairs(bad, good)) == {"mean": "BETTER", "failure_probability": "BETTER"}
     assert verdicts(pairs(good, bad), mean=0.5) == {"mean": "EQUAL", "failure_probability": "WORSE"}
+    assert verdicts(pairs(good, bad), mean=0.22)["mean"] == "UNDECIDED", "worse, and perhaps by no more than this"
+    assert verdicts(pairs(good, bad), mean=0.1)["mean"] == "WORSE"
     assert verdicts(pairs(good[:3], bad[:3])) == {"mean": "UNDECIDED", "failure_probability": "UNDECIDED"}
     found = differences(pairs(good, bad), 0.05, {})
     assert [(each.a, round(each.b, 9), each.unit) for each in found] == [(0.5, 0.28, "m"), (0.0, 0.2, "")]
 
 
-def test_a_robustness_of_0_counts_as_a_failure_of_either_system() -> None:
-    assert verdicts(pairs(np.full(500, 0.1), np.zeros(500)))["failure_probability"] == "WORSE"
-    assert verdicts(pairs(np.zeros(500), np.full(500, -0.1)), failure_probability=0.1)["failure_probability"] == "EQUAL"
+def test_a_robustness_of_0_is_read_against_each_verdict() -> None:
+    """It may be a violation or none, as in a certificate."""
+    zero, good, bad = np.zeros(500), np.full(500, 0.1), np.full(500, -0.1)
+    for one, other in ((good, zero), (zero, bad), (zero, good), (bad, zero), (zero, zero)):
+        assert verdicts(pairs(one, other))["failure_probability"] == "UNDECIDED"
+    assert verdicts(pairs(good, bad))["failure_probability"] == "WORSE"
+    (_, found) = differences(pairs(good, zero), 0.05, {})
+    assert (found.a, found.b) == (0.0, 0.0)
+    assert -0.02 < found.lower < 0
+    assert found.upper == 1.0
 
 
 def test_without_a_clip_no_mean_is_compared() -> None:
@@ -104,6 +113,12 @@ def test_one_pair_shows_all_of_a_start_without_noise() -> None:
     assert found.verdict == "WORSE"
 
 
+def test_a_system_that_only_says_that_it_has_no_noise_is_not_believed() -> None:
+    found = differences(pairs([0.5, 0.2] * 30, [0.5, 0.1, 0.3, 0.1] * 15, [0] * 60, exact=True), 0.05, {})[-1]
+    assert found.lower < -0.2
+    assert found.upper > 0.0
+
+
 def test_of_a_start_that_was_not_drawn_yet_nothing_is_known() -> None:
     found = differences(pairs([0.5] * 50, [0.5] * 50, [0] * 50, listed=2, exact=True), 0.05, {})[-1]
     assert (found.lower, found.upper) == (-2.0, 2.0)
@@ -121,7 +136,10 @@ def test_a_verdict_turns_round_with_the_direction(lower: float, upper: float) ->
         assert swapped.get(one, one) == other
         assert verdict(-upper, -lower, "larger", equal) == other
         assert (one == "EQUAL") == (equal is not None and -equal <= lower and upper <= equal)
-        assert one != "UNDECIDED" or lower <= 0.0 <= upper
+        if equal is None:
+            assert (one == "UNDECIDED") == (lower <= 0.0 <= upper)
+        elif one in swapped:
+            assert min(abs(lower), abs(upper)) > equal
 
 
 EVERY: list[tuple[list[ComparisonVerdict], ComparisonVerdict]] = [
