@@ -8,6 +8,7 @@ STATEMENTS = {
     "limit_agrees": "the bound does not contradict the limit of the expectation",
     "centred_noise": "an observation is right on average",
     "clip": "the claim is about the clipped robustness",
+    "common_draws": "no result of a campaign with the same draws decided a key of this file",
     "declared_distribution": "in operation, starts are distributed as the file declares",
     "declared_laws": "what rollouts report of their disturbances has the declared laws",
     "defined_in_session": "the function uses nothing of its session that changes",

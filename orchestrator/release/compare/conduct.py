@@ -8,7 +8,9 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
+from rich.text import Text
 
+from ....schemas.amounts import counted
 from ....schemas.atomic import write_whole
 from ....schemas.errors import PerfboundError
 from ....schemas.result.certificate import Certificate
@@ -57,10 +59,11 @@ def compare_pairs(
     first = min(FIRST, terms.most_pairs) if terms.until_decided else terms.most_pairs
     both = _begun(systems, out, first)
     for number in looks(terms.most_pairs, first):
-        for directory, system in both.items():
+        for name, (directory, system) in zip("AB", both.items(), strict=True):
+            console.print(Text(f"{name}, {system.given}: to {counted(number, 'rollout')}"), soft_wrap=True)
             _grow(directory, system, number, options, console)
             ended(directory, system)
-        pairs, starts = recorded_pairs(both, number)
+        pairs, starts = recorded_pairs(both)
         found = judged(both, pairs, terms)
         if all(each.verdict != "UNDECIDED" for each in found.differences):
             break
@@ -92,12 +95,16 @@ def in_folder(systems: Sequence[Compared], out: Path) -> dict[Path, Compared]:
         PerfboundError: other campaigns are there.
 
     """
+    if out.is_dir() and {each.name for each in out.iterdir()} - {*SIDES, COMPARISON, REPORT}:
+        raise PerfboundError(f"{out}: exists and is not the folder of a comparison; choose another --out")
     found = dict(zip([out / side for side in SIDES], systems, strict=True))
     for directory, system in found.items():
         if not (directory / DATABASE).exists():
             check_vacant(directory, system.config)
             continue
         if unlike := stored_differently(directory, system.config):
+            if unlike.startswith("draws is "):
+                unlike = "a system, its sources, the order of A and B, or the seed is another one"
             raise PerfboundError(f"{out}: the comparison here differs from this one: {unlike}; choose another --out")
         _check_system(directory, system)
     return found
@@ -174,7 +181,7 @@ def judged(both: Mapping[Path, Compared], pairs: Pairs, terms: Terms) -> Compari
         specification=one.config.formula or "",
         clip=pairs.clip,
         pairs=len(pairs.a),
-        most_pairs=terms.most_pairs,
+        most_pairs=max(terms.most_pairs, len(pairs.a)),
         common=in_common(one, other),
         probability=1.0 - terms.delta,
         differences=found,
@@ -182,14 +189,16 @@ def judged(both: Mapping[Path, Compared], pairs: Pairs, terms: Terms) -> Compari
     )
 
 
-def recorded_pairs(both: Mapping[Path, Compared], number: int) -> tuple[Pairs, Floats]:
-    """Return the first pairs in their order, and their starts (n, p).
+def recorded_pairs(both: Mapping[Path, Compared]) -> tuple[Pairs, Floats]:
+    """Return all pairs that are recorded, in their order, and their starts (n, p).
 
     Raises:
         PerfboundError: a database cannot be read, or the two have not drawn the same starts.
 
     """
-    (a, starts), (b, others) = (_recorded(*each, number) for each in both.items())
+    (a, starts), (b, others) = (_recorded(*each) for each in both.items())
+    number = min(len(a), len(b))
+    a, b, starts, others = a[:number], b[:number], starts[:number], others[:number]
     if not np.array_equal(starts, others):
         place = " and ".join(map(str, both))
         raise PerfboundError(f"{place}: not simulated from the same starts; choose another --out")
@@ -207,14 +216,14 @@ def recorded_pairs(both: Mapping[Path, Compared], number: int) -> tuple[Pairs, F
     return found, starts
 
 
-def _recorded(directory: Path, system: Compared, pairs: int) -> tuple[Floats, Floats]:
-    """Return robustness (n,) and starts (n, p) of the first tests of a campaign."""
+def _recorded(directory: Path, system: Compared) -> tuple[Floats, Floats]:
+    """Return robustness (n,) and starts (n, p) of the tests of a campaign."""
     header = system.header
     problem = header.config.problems[0].name
     blocks = [each for each in read_values(directory, header.claimed_variant, [problem]) if each.series == problem]
     values = np.concatenate([np.array(each.robustness) for each in blocks])
     starts = np.concatenate([np.frombuffer(each.starts).reshape(each.tests, -1) for each in blocks])
-    return values[:pairs], starts[:pairs]
+    return values, starts
 
 
 def document(directory: Path, system: Compared) -> ComparedSystem:

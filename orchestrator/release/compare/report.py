@@ -1,7 +1,6 @@
 """The report of a comparison: one page without scripts."""
 
 import html
-import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,11 +11,12 @@ from ....schemas.atomic import write_whole
 from ....schemas.errors import PerfboundError, one_line
 from ....schemas.ids import RolloutId
 from ....schemas.result.comparison import Comparison, ComparisonVerdict
-from ...certificate.words.bound_text import in_unit
+from ...certificate.words.format import replay_command
 from ...mathematics.gp.kernels import Floats
 from ...mathematics.stl.parser import parse_formula
 from ...mathematics.stl.tree import columns
 from ...report.rollout.load import load_recorded
+from ...run.known import system_file
 from .differences import Pairs, differences
 from .figures import intervals_figure, numbers_of, pairs_figure, trajectories_figure
 from .outputs import STYLES, conclusion, row, sentences, system_lines
@@ -87,7 +87,9 @@ def _most_different(both: Mapping[Path, Compared], pairs: Pairs, starts: Floats)
     if not difference.any():
         yield "<p>In every pair both have the same robustness.</p>"
         return
-    parameters = [in_unit(each.name, f"/ {each.unit}" if each.unit != "1" else "") for each in header.spec.parameters]
+    parameters = [
+        each.name if each.unit in ("", "1") else f"{each.name} / {each.unit}" for each in header.spec.parameters
+    ]
     for title, chosen in (
         ("Where B loses most", [int(test) for test in order if difference[test] < 0][:MOST_DIFFERENT]),
         ("Where B gains most", [int(test) for test in order[::-1] if difference[test] > 0][:MOST_DIFFERENT]),
@@ -121,9 +123,12 @@ def _trajectories(both: Mapping[Path, Compared], test: int) -> Iterator[str]:
         yield "<p>A trajectory of this pair is missing or damaged.</p>"
         return
     header = next(iter(both.values())).header
-    yield f"<p>Both trajectories of pair {test}, A in blue and B in red:</p>"
+    yield f"<p>Both trajectories of pair {test}, A in blue and B in orange:</p>"
     yield _svg(trajectories_figure(header.spec, a, b, columns(parse_formula(header.config.formula or ""))))
-    commands = [shlex.join(["perfbound", "replay", str(directory), str(rollout)]) for directory, rollout, _ in recorded]
+    commands = [
+        replay_command(directory, system.header, str(rollout), system_file(directory))
+        for (directory, rollout, _), system in zip(recorded, both.values(), strict=True)
+    ]
     yield f"<pre>{html.escape(chr(10).join(commands))}</pre>"
 
 

@@ -59,12 +59,19 @@ def compared(given: Path) -> Compared:
 
     """
     if given.is_dir():
-        config, reference = read.stored_header(given).config, read.system_reference(given)
+        header, reference = read.stored_header(given), read.system_reference(given)
+        config = header.config
     else:
         config = load_campaign(given)
         reference = config.system.reference(given)
     listed = config.space.rows if isinstance(config.space, Scenarios) else ()
-    return Compared(given, config, reference, system_of(config, given, reference), listed)
+    found = Compared(given, config, reference, system_of(config, given, reference), listed)
+    if given.is_dir() and found.header.spec.digest != header.spec.digest:
+        raise CampaignError(
+            f"{given}: its system has other sources now, and these would be simulated; check out the version into a "
+            "folder of its own, as by `git worktree add`, and give the campaign file there"
+        )
+    return found
 
 
 def paired(a: Compared, b: Compared, seed: int | None = None) -> tuple[Compared, Compared]:
@@ -78,7 +85,7 @@ def paired(a: Compared, b: Compared, seed: int | None = None) -> tuple[Compared,
 
     """
     seed = a.config.seed if seed is None else seed
-    questions = [_campaign(each, {"seed": seed}) for each in (a, b)]
+    questions = [_campaign(each, {"seed": seed, "name": "pair"}) for each in (a, b)]
     unlike = [line for line in differences(*questions) if _is_of_question(line.partition(" ")[0])]
     if unlike:
         more = f"; and {len(unlike) - 3} more" if len(unlike) > 3 else ""

@@ -53,13 +53,17 @@ def test_a_worse_version_fails_and_kill_9_changes_nothing(started: Processes) ->
         assert started.run("perfbound", "verify", out / side).code == 0
         one, other = (started.folder / each / side / "certificate.json" for each in ("c", "whole"))
         assert one.read_bytes() == other.read_bytes()
-    # Run directories stand for their campaigns, whose systems are those of now.
+    # Run directories stand for their campaigns, as long as their systems are those of then.
     same = started.run(
         *line[:2], out / "a", old, "--out", started.folder / "same", "--pairs", "40", "--equal", "mean=60"
     )
     assert same.code == 0, same.err
     assert "Both are one system, with the same sources." in same.out
     assert re.search(r"mean robustness, m .* EQUAL within 60 m", same.out)
+    (started.folder / "old" / "cars.py").write_text(CARS.read_text().replace("reaction=0.5", "reaction=0.6"))
+    changed = started.run(*line[:2], out / "a", new, "--out", started.folder / "changed")
+    assert changed.code == 1
+    assert "its system has other sources now" in changed.err
     refused = started.run(*line[:2], old, new, "--out", out, "--pairs", "9", "--seed", "4")
     assert refused.code == 1
     assert "the comparison here differs from this one" in refused.err

@@ -181,6 +181,14 @@ def test_different_questions_are_refused_with_both_answers(changes: dict[str, An
         paired(system("a"), system("b", **changes))
 
 
+def test_the_name_of_a_file_changes_no_draw() -> None:
+    one, other = system("a"), system("b")
+    named = replace(one, config=one.config.model_copy(update={"name": "other"}))
+    first, second = paired(named, other)
+    assert first.config.name == "other"
+    assert first.config.draws == second.config.draws == both()[0].config.draws
+
+
 def test_other_words_of_a_requirement_and_other_limits_are_the_same_question() -> None:
     part = {"name": "low", "formula": "value >= 0"}
     one = system("a", specification=None, specifications=[part | {"id": "R-1", "text": "old"}], deadline=20.0)
@@ -247,7 +255,7 @@ def test_the_same_call_continues_after_it_was_stopped(run: Callable[..., Compari
     assert run() == found
     more = run(most_pairs=100)
     assert more.pairs == 100
-    assert run() == found.model_copy(update={"a": more.a, "b": more.b}), "the first pairs alone"
+    assert run() == more, "all that are recorded"
 
 
 def test_another_comparison_in_the_folder_is_refused(run: Callable[..., Comparison], tmp_path: Path) -> None:
@@ -255,7 +263,7 @@ def test_another_comparison_in_the_folder_is_refused(run: Callable[..., Comparis
     with pytest.raises(PerfboundError, match=facts("out specification 'value >= 0' 'value >= 0.1' --out")):
         run(both(specification="value >= 0.1"))
     changed = system("b")
-    with pytest.raises(PerfboundError, match=facts("draws --out")):
+    with pytest.raises(PerfboundError, match=facts("out system sources A B seed --out")):
         run(paired(system("a"), replace(changed, spec=changed.spec.model_copy(update={"doc": "changed"}))))
 
 
@@ -294,6 +302,13 @@ def test_a_file_in_the_way_is_found_before_anything_is_simulated(
     with pytest.raises(PerfboundError, match=facts("out/b not empty")):
         run()
     assert run.runs.simulated == {"a": 0, "b": 0}  # type: ignore[attr-defined]
+
+
+def test_a_folder_of_something_else_is_refused(run: Callable[..., Comparison], tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "campaign.db").write_text("")
+    with pytest.raises(PerfboundError, match=facts("out not the folder of a comparison --out")):
+        run()
 
 
 def test_a_margin_of_what_is_not_compared_is_refused(run: Callable[..., Comparison]) -> None:
