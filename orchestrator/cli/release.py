@@ -215,9 +215,9 @@ def history(*, folder: Path, requirement: str | None, as_json: bool) -> None:
 
     from ..release import history as versions  # noqa: PLC0415
 
-    found, others = versions.history(folder, requirement)
+    found = versions.history(folder, requirement)
     if as_json:
-        for each in found:
+        for each in found.versions:
             click.echo(json.dumps({**asdict(each), "directory": str(each.directory)}))
     else:
-        versions.print_history(found, others, output_console())
+        versions.print_history(found, output_console())

@@ -1,6 +1,5 @@
 """One requirement over the versions of a system: what each finished campaign of a folder has shown of it."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -53,10 +52,22 @@ class Version:
     """Of the whole campaign."""
 
 
-def history(folder: Path, requirement: str | None) -> tuple[list[Version], int]:
-    """Return the versions in a folder, the oldest first, and how many finished campaigns ask another question.
+@dataclass(frozen=True, slots=True)
+class History:
+    """The versions in a folder."""
 
-    That of the newest is asked: its formula and its quantity. Without a requirement it is the whole specification.
+    versions: tuple[Version, ...]
+    """The oldest first; at least one."""
+    others: int
+    """Finished campaigns that ask another question, or belong to a comparison."""
+    unreadable: tuple[str, ...]
+    """Why others cannot be read, a line for each."""
+
+
+def history(folder: Path, requirement: str | None) -> History:
+    """Return the versions in a folder that ask the question of the newest one.
+
+    Without a requirement it is about the whole specification.
 
     Raises:
         PerfboundError: no campaign in the folder has finished, or none has the requirement.
@@ -65,12 +76,20 @@ def history(folder: Path, requirement: str | None) -> tuple[list[Version], int]:
     if not folder.is_dir():
         raise PerfboundError(f"{folder}: no such folder; name the one with the run directories, such as runs")
     directories = [each for each in run_directories(folder) if (each / files.CERTIFICATE).exists()]
-    found = sorted(filter(None, (_version(each, requirement) for each in directories)), key=lambda each: each.ended)
+    found, unreadable = list[Version](), list[str]()
+    for directory in directories:
+        try:
+            version = _version(directory, requirement)
+        except PerfboundError as error:
+            unreadable.append(one_line(f"{directory}: cannot be read, and is left out: {error}"))
+            continue
+        found += [version] if version is not None else []
     if not found:
         wanted = "" if requirement is None else f" with a claim about the requirement {requirement!r}"
-        raise PerfboundError(f"{folder}: no finished campaign{wanted} is in this folder")
-    alike = [each for each in found if each.question == found[-1].question]
-    return alike, len(directories) - len(alike)
+        raise PerfboundError(f"{folder}: no finished campaign{wanted} is in this folder", *unreadable)
+    found.sort(key=lambda each: each.ended)
+    alike = tuple(each for each in found if each.question == found[-1].question)
+    return History(alike, len(directories) - len(unreadable) - len(alike), tuple(unreadable))
 
 
 def _version(directory: Path, requirement: str | None) -> Version | None:
@@ -118,9 +137,9 @@ def _partner(predicate: Predicate, claim: CertificateClaim) -> float | None:
     return predicate.problems[0].partner if is_sampled(claim.quantity) else other_side(predicate)
 
 
-def print_history(versions: Sequence[Version], others: int, console: Console) -> None:
-    """Print a line for each version, the oldest first."""
-    newest = versions[-1]
+def print_history(found: History, console: Console) -> None:
+    """Print a line for each version, the oldest first, and what was left out."""
+    versions, newest = found.versions, found.versions[-1]
     plain_line(console, ": ".join(filter(None, (newest.subject, one_line(newest.question[2])))), "bold")
     rows = [HEAD, *map(_cells, versions)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(HEAD))]
@@ -134,8 +153,11 @@ def print_history(versions: Sequence[Version], others: int, console: Console) ->
             verdict = versions[number - 1].verdict
             line.stylize(COLOURS[verdict], len(line) - len(verdict))
         console.print(line, soft_wrap=True)
-    if others:
-        plain_line(console, f"{counted(others, 'finished campaign')} in this folder with another question left out")
+    if found.others:
+        number = counted(found.others, "finished campaign")
+        plain_line(console, f"{number} in this folder left out: of another question, or of a comparison")
+    for line in found.unreadable:
+        plain_line(console, line, "red")
 
 
 def _cells(each: Version) -> tuple[str, ...]:

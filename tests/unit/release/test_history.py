@@ -4,6 +4,7 @@ import io
 import os
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import pytest
 from rich.console import Console
 
 from perfbound.orchestrator.release import history as module
-from perfbound.orchestrator.release.history import Version, history, print_history
+from perfbound.orchestrator.release.history import History, history, print_history
 from perfbound.schemas.errors import PerfboundError
 from perfbound.schemas.rollout import RolloutRequest
 from tests.facts import facts
@@ -57,36 +58,36 @@ def times(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "last_outcome", lambda each: 1e9 + 86_400 * sum(map(ord, each.name[:2])))
 
 
-def printed(found: tuple[list[Version], int]) -> str:
+def printed(found: History) -> str:
     console = Console(width=40, file=io.StringIO())
-    print_history(*found, console)
+    print_history(found, console)
     assert isinstance(console.file, io.StringIO)
     return console.file.getvalue()
 
 
 def test_the_versions_of_one_question_come_in_their_order(runs: Path) -> None:
-    versions, others = history(runs / "versions", None)
-    assert [each.directory.name for each in versions] == ["v1", "v2"]
-    assert others == 1
-    (one, two) = ((each.lower, each.upper) for each in versions)
+    found = history(runs / "versions", None)
+    assert [each.directory.name for each in found.versions] == ["v1", "v2"]
+    assert (found.others, found.unreadable) == (1, ())
+    (one, two) = ((each.lower, each.upper) for each in found.versions)
     assert None not in (*one, *two)
     assert one[0] <= 0.3 <= one[1] < two[0] + 0.1  # type: ignore[operator]
     assert two[0] <= 0.5 <= two[1]  # type: ignore[operator]
-    text = printed((versions, others))
+    text = printed(found)
     assert "worst robustness over all starts: value >= 0" in text
     assert text.index("v1") < text.index("v2")
-    assert "1 finished campaign in this folder with another question left out" in text
+    assert "1 finished campaign in this folder left out" in text
     assert max(map(len, text.splitlines())) > 80, "no line is cut"
 
 
 @pytest.mark.parametrize("wanted", ["R-2", "high"])
 def test_a_requirement_is_named_by_id_or_name(runs: Path, wanted: str) -> None:
-    ((found,), others) = history(runs, wanted)
+    (found,) = history(runs, wanted).versions
     assert found.question[::2][:2] == ("failure_probability", "value >= 0.45")
     assert found.lower is None, "only the first claim has a bound from the other side"
     assert 0.3 < (found.upper or 0.0) < 1.0
-    assert others == 3
-    ((whole,), _) = history(runs / "several", None)
+    assert history(runs, wanted).others == 3
+    (whole,) = history(runs / "several", None).versions
     assert whole.question[2] == "(value >= 0) and (value >= 0.45)"
     assert whole.lower is not None
 
@@ -98,14 +99,13 @@ def test_other_starts_are_another_question_and_comparisons_no_versions(runs: Pat
     assert simulate(tmp_path / "all" / "b-narrow", robustness(EXACT, space=box, **small), slope, noisy=False)
     pair = robustness({"method": "sample"}, draws="0" * 64, **small)
     assert simulate(tmp_path / "all" / "zz", pair, slope, noisy=True)
-    versions, others = history(tmp_path / "all", None)
-    assert ([each.directory.name for each in versions], others) == (["v1", "v2"], 3)
+    found = history(tmp_path / "all", None)
+    assert ([each.directory.name for each in found.versions], found.others) == (["v1", "v2"], 3)
 
 
 def test_a_refuted_claim_has_no_probability(runs: Path) -> None:
-    versions, others = history(runs / "versions", None)
-    refuted = [Version(**{name: getattr(versions[0], name) for name in Version.__slots__} | {"refuted": True})]
-    assert "refuted" in printed((refuted, others))
+    found = history(runs / "versions", None)
+    assert "refuted" in printed(replace(found, versions=(replace(found.versions[0], refuted=True),)))
 
 
 @pytest.mark.parametrize(
@@ -117,8 +117,13 @@ def test_what_has_no_history_is_one_line(runs: Path, folder: str, requirement: s
         history(runs / folder, requirement)
 
 
-def test_a_damaged_campaign_is_named(runs: Path, tmp_path: Path) -> None:
-    shutil.copytree(runs / "versions" / "v1", tmp_path / "v1")
-    (tmp_path / "v1" / "certificate.json").write_text("{")
-    with pytest.raises(PerfboundError, match="v1"):
-        history(tmp_path, None)
+def test_a_damaged_campaign_is_named_and_left_out(runs: Path, tmp_path: Path) -> None:
+    shutil.copytree(runs / "versions", tmp_path / "all")
+    (tmp_path / "all" / "v1" / "certificate.json").write_text("{")
+    found = history(tmp_path / "all", None)
+    assert [each.directory.name for each in found.versions] == ["v2"]
+    assert "v1: cannot be read, and is left out" in printed(found)
+    shutil.rmtree(tmp_path / "all" / "v2")
+    shutil.rmtree(tmp_path / "all" / "a-other")
+    with pytest.raises(PerfboundError, match=facts("no finished campaign v1 cannot be read")):
+        history(tmp_path / "all", None)
