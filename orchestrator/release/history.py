@@ -156,8 +156,8 @@ def print_history(found: History, console: Console) -> None:
     if found.others:
         number = counted(found.others, "finished campaign")
         plain_line(console, f"{number} in this folder left out: of another question, or of a comparison")
-    for line in found.unreadable:
-        plain_line(console, line, "red")
+    for reason in found.unreadable:
+        plain_line(console, reason, "red")
 
 
 def _cells(each: Version) -> tuple[str, ...]:
