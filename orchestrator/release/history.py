@@ -154,8 +154,8 @@ def print_history(found: History, console: Console) -> None:
             line.stylize(COLOURS[verdict], len(line) - len(verdict))
         console.print(line, soft_wrap=True)
     if found.others:
-        number = counted(found.others, "finished campaign")
-        plain_line(console, f"{number} in this folder left out: of another question, or of a comparison")
+        left_out = counted(found.others, "finished campaign")
+        plain_line(console, f"{left_out} in this folder left out: of another question, or of a comparison")
     for reason in found.unreadable:
         plain_line(console, reason, "red")
 
