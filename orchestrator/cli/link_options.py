@@ -40,13 +40,18 @@ def names_option(option: str, kind: str) -> Decorator:
 
 def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of the endpoint for workers and of the live page."""
+    page = web_options(
+        "Serve a live page.  [default of HOST:PORT: loopback and a free port]",
+        is_flag=False,
+        flag_value=Address(),
+        default=None,
+    )
+    return worker_options(page(command))
+
+
+def worker_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of the endpoint for workers."""
     options: tuple[Decorator, ...] = (
-        web_options(
-            "Serve a live page.  [default of HOST:PORT: loopback and a free port]",
-            is_flag=False,
-            flag_value=Address(),
-            default=None,
-        ),
         click.option(
             "--allow",
             multiple=True,
@@ -56,7 +61,7 @@ def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
         ),
         *TLS_OPTIONS,
         click.option(
-            "--insecure", is_flag=True, help="Allow listening or serving the page beyond this machine without TLS."
+            "--insecure", is_flag=True, help="Allow listening or serving a page beyond this machine without TLS."
         ),
         click.option(
             "--grace",
@@ -82,8 +87,8 @@ def link_of(
     routers: tuple[str, ...],
     insecure: bool,
     allow: tuple[str, ...],
-    web: PagePlace | None,
     grace: float,
+    web: PagePlace | None = None,
     **tls: str | None,
 ) -> "Link":
     """Return the link of the options.

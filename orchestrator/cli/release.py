@@ -10,7 +10,7 @@ from ...schemas import atomic
 from .early import check_directory, check_folder
 from .exits import resumable
 from .group import RUN_DIRECTORY, cli, output_console
-from .link_options import link_of, link_options
+from .link_options import link_of, worker_options
 from .signing import load_key
 from .stderr import STDERR
 
@@ -161,7 +161,7 @@ def _equal(_context: click.Context, _parameter: click.Parameter, given: tuple[st
     "--seed", type=click.IntRange(0, 2**53 - 1), default=None, help="Other draws.  [default: that of the files]"
 )
 @click.option("--workers", type=click.IntRange(0, 256), default=2, show_default=True, help="Local worker processes.")
-@link_options
+@worker_options
 def compare(
     *,
     a: Path,
