@@ -122,7 +122,7 @@ def _sequence(header: Header, problem: str, *place: int) -> np.random.SeedSequen
 
 
 def _identity(header: Header) -> tuple[int, int]:
-    # With the digest of the file no two campaigns share rollouts, unless both are told to.
+    # With the digest of the file no two campaigns share rollouts, unless both have the same `draws`.
     return header.config.seed, int(header.config.draws or header.config_sha256, 16)
 
 

@@ -16,15 +16,17 @@ from ...schemas.result.known import VerdictWord
 from ..certificate import files
 from ..certificate.counter_evidence import other_side
 from ..certificate.words.bound_text import claim_unit, outward
-from ..certificate.words.console_lines import plain_line
+from ..certificate.words.console_lines import aligned, plain_line
 from ..certificate.words.known_text import COLOURS
 from ..certificate.words.text import claim_words
-from ..report.listing import last_change, run_directories
+from ..report.listing import check_folder, last_change, run_directories
 from ..run.known import finished
 from ..store.export_tables import robustness_unit
 from ..store.read import last_outcome, system_revision
 
 HEAD = ("campaign", "ended (UTC)", "version", "at least", "at most", "each with probability", "verdict of all")
+BOUNDS = (3, 4)
+"""The columns of the bounds."""
 OF_QUESTION = ("space", "where", "candidates", "beyond", "clip", "horizon")
 """The keys of a campaign file that decide what is asked, besides the specification."""
 
@@ -73,8 +75,7 @@ def history(folder: Path, requirement: str | None) -> History:
         PerfboundError: no campaign in the folder has finished, or none has the requirement.
 
     """
-    if not folder.is_dir():
-        raise PerfboundError(f"{folder}: no such folder; name the one with the run directories, such as runs")
+    check_folder(folder)
     directories = [each for each in run_directories(folder) if (each / files.CERTIFICATE).exists()]
     found, unreadable = list[Version](), list[str]()
     for directory in directories:
@@ -141,17 +142,11 @@ def print_history(found: History, console: Console) -> None:
     """Print a line for each version, the oldest first, and what was left out."""
     versions, newest = found.versions, found.versions[-1]
     plain_line(console, ": ".join(filter(None, (newest.subject, one_line(newest.question[2])))), "bold")
-    rows = [HEAD, *map(_cells, versions)]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(HEAD))]
-    for number, row in enumerate(rows):
-        cells = [
-            cell.rjust(width) if name.startswith("at ") else cell.ljust(width)
-            for name, cell, width in zip(HEAD, row, widths, strict=True)
-        ]
-        line = Text("  ".join(cells).rstrip(), "" if number else "bold")
-        if number:
-            verdict = versions[number - 1].verdict
-            line.stylize(COLOURS[verdict], len(line) - len(verdict))
+    head, *lines = aligned([HEAD, *map(_cells, versions)], right=BOUNDS)
+    plain_line(console, head, "bold")
+    for each, text in zip(versions, lines, strict=True):
+        line = Text(text)
+        line.stylize(COLOURS[each.verdict], len(line) - len(each.verdict))
         console.print(line, soft_wrap=True)
     if found.others:
         left_out = counted(found.others, "finished campaign")

@@ -11,6 +11,7 @@ from rich.text import Text
 from ...schemas.errors import OtherVersionError, PerfboundError, one_line
 from ...schemas.result.known import CampaignState, CampaignVerdict, VerdictWord, Violations
 from ..certificate import files
+from ..certificate.words.console_lines import aligned
 from ..certificate.words.format import duration
 from ..certificate.words.known_text import COLOURS, first_bound
 from ..run.known import state_of, verdict_of
@@ -62,11 +63,16 @@ def campaigns_below(folder: Path) -> Iterator[ListedCampaign]:
         PerfboundError: there is no such folder.
 
     """
-    if not folder.is_dir():
-        raise PerfboundError(f"{folder}: no such folder; name the one with the run directories, such as runs")
+    check_folder(folder)
     found = [(last_change(directory), directory) for directory in run_directories(folder)]
     for changed, directory in sorted(found, key=lambda pair: (-pair[0], str(pair[1]))):
         yield read_campaign(directory, changed)[0]
+
+
+def check_folder(folder: Path) -> None:
+    """Refuse a folder of campaigns that is not there; raises PerfboundError."""
+    if not folder.is_dir():
+        raise PerfboundError(f"{folder}: no such folder; name the one with the run directories, such as runs")
 
 
 def run_directories(folder: Path) -> Iterator[Path]:
@@ -124,15 +130,12 @@ def _count_of(seen: Violations) -> int | None:
 def listing(campaigns: Sequence[ListedCampaign], now: float) -> Iterator[Text]:
     """Yield a heading and a line for each campaign, in columns; `now` is the Unix time that ages are measured from."""
     rows = [HEAD, *(_cells_of(each, now) for each in campaigns)]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(HEAD))]
+    verdict = 2 + max(len(row[0]) for row in rows)
     styles = ["", *(COLOURS[each.verdict] if each.verdict else "" for each in campaigns)]
-    for number, (row, style) in enumerate(zip(rows, styles, strict=True)):
-        cells = [
-            cell.rjust(width) if name in NUMBERS else cell.ljust(width)
-            for name, cell, width in zip(HEAD, row, widths, strict=True)
-        ]
-        line = Text("  ".join(cells).rstrip(), "bold" if number == 0 else "")
-        line.stylize(style, widths[0] + 2, widths[0] + 2 + len(row[1]))
+    right = [HEAD.index(name) for name in NUMBERS]
+    for number, (row, text, style) in enumerate(zip(rows, aligned(rows, right), styles, strict=True)):
+        line = Text(text, "bold" if number == 0 else "")
+        line.stylize(style, verdict, verdict + len(row[1]))
         yield line
 
 

@@ -2,6 +2,7 @@
 
 import re
 import textwrap
+from collections.abc import Collection, Sequence
 
 from rich.console import Console
 from rich.text import Text
@@ -32,3 +33,19 @@ def heading(console: Console, text: str, style: str) -> None:
 def plain_line(console: Console, text: str, style: str = "") -> None:
     """Print a line, however long."""
     console.print(Text(text, style), soft_wrap=True)
+
+
+def aligned(rows: Sequence[Sequence[str]], right: Collection[int] = ()) -> list[str]:
+    """Return rows as lines, with the cells of a column below each other; those of the columns `right` end there.
+
+    >>> aligned([("run", "tests"), ("cars", "7")], right={1})
+    ['run   tests', 'cars      7']
+    """
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(
+            cell.rjust(width) if place in right else cell.ljust(width)
+            for place, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]

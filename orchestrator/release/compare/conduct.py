@@ -14,7 +14,7 @@ from ....schemas.amounts import counted
 from ....schemas.atomic import write_whole
 from ....schemas.errors import PerfboundError
 from ....schemas.result.certificate import Certificate
-from ....schemas.result.comparison import ComparedQuantity, ComparedSystem, Comparison
+from ....schemas.result.comparison import ComparedQuantity, ComparedSystem, Comparison, Difference
 from ...certificate import files
 from ...mathematics.gp.kernels import Floats
 from ...run.directory import check_vacant, stored_differently
@@ -59,12 +59,14 @@ def compare_pairs(
     first = min(FIRST, terms.most_pairs) if terms.until_decided else terms.most_pairs
     both = _begun(systems, out, first)
     for number in looks(terms.most_pairs, first):
-        for name, (directory, system) in zip("AB", both.items(), strict=True):
-            console.print(Text(f"{name}, {system.given}: to {counted(number, 'rollout')}"), soft_wrap=True)
+        for directory, system in both.items():
+            console.print(
+                Text(f"{directory.name.upper()}, {system.given}: to {counted(number, 'rollout')}"), soft_wrap=True
+            )
             _grow(directory, system, number, options, console)
             ended(directory, system)
         pairs, starts = recorded_pairs(both)
-        found = judged(both, pairs, terms)
+        found = comparison(both, differences(pairs, terms.delta, terms.equal), terms, pairs=len(pairs.a))
         if all(each.verdict != "UNDECIDED" for each in found.differences):
             break
     write(out, found)
@@ -165,26 +167,27 @@ def _grow(directory: Path, system: Compared, pairs: int, options: RunOptions, co
         resume_campaign(directory, options, console, pairs)
 
 
-def judged(both: Mapping[Path, Compared], pairs: Pairs, terms: Terms) -> Comparison:
-    """Return what the rollouts of two finished campaigns show.
+def comparison(
+    both: Mapping[Path, Compared], found: Sequence[Difference], terms: Terms, *, pairs: int = 0
+) -> Comparison:
+    """Return the document of a comparison; one without pairs is of the worst case.
 
     Raises:
         OSError: the certificate of one cannot be read.
 
     """
-    found = differences(pairs, terms.delta, terms.equal)
-    a, b = (document(*each) for each in both.items())
+    a, b = (_document(*each) for each in both.items())
     one, other = both.values()
     return Comparison(
         a=a,
         b=b,
         specification=one.config.formula or "",
-        clip=pairs.clip,
-        pairs=len(pairs.a),
-        most_pairs=max(terms.most_pairs, len(pairs.a)),
-        common=in_common(one, other),
+        clip=one.config.clip,
+        pairs=pairs,
+        most_pairs=max(terms.most_pairs, pairs) if pairs else 0,
+        common=in_common(one, other) if pairs else (),
         probability=1.0 - terms.delta,
-        differences=found,
+        differences=tuple(found),
         verdict=overall([each.verdict for each in found]),
     )
 
@@ -226,7 +229,7 @@ def _recorded(directory: Path, system: Compared) -> tuple[Floats, Floats]:
     return values, starts
 
 
-def document(directory: Path, system: Compared) -> ComparedSystem:
+def _document(directory: Path, system: Compared) -> ComparedSystem:
     """Return what a comparison says of one system; raises OSError where its certificate cannot be read."""
     certificate = (directory / files.CERTIFICATE).read_bytes()
     return ComparedSystem(

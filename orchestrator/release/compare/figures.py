@@ -1,5 +1,6 @@
 """The figures of a comparison."""
 
+import textwrap
 from collections.abc import Collection, Sequence
 
 import numpy as np
@@ -24,7 +25,7 @@ MOST_COLUMNS = 6
 def intervals_figure(course: Sequence[tuple[int, Sequence[Difference]]]) -> bytes:
     """Return an SVG with the interval of each difference after growing numbers of pairs."""
     last = course[-1][1]
-    with style.new_figure(2.0, FULL) as figure:
+    with style.new_figure(2.3, FULL) as figure:
         for place, axes in enumerate(figure.subplots(1, len(last), squeeze=False)[0]):
             each = [differences[place] for _, differences in course]
             pairs = [number for number, _ in course]
@@ -35,7 +36,9 @@ def intervals_figure(course: Sequence[tuple[int, Sequence[Difference]]]) -> byte
                 axes.axhline(edge * (found.equal_within or 0.0), color=GREY, linewidth=THICK, linestyle=":")
             axes.plot(pairs[-1:], [found.b - found.a], "o", color=BLUE, markersize=3, clip_on=False)
             worse = "below" if found.better == "larger" else "above"
-            axes.set(title=f"{NAMES[found.quantity]}; B is worse {worse} 0", xlabel="pairs", xlim=(0, pairs[-1]))
+            # The longest name is wider than a third of the figure.
+            title = textwrap.fill(NAMES[found.quantity], 30)
+            axes.set(title=f"{title}\nB is worse {worse} 0", xlabel="pairs", xlim=(0, pairs[-1]))
             axes.set_ylabel(style.with_unit("B - A", found.unit))
             # The first intervals, which show nothing, would leave no room for the last ones.
             reach = 3.0 * max(abs(found.lower), abs(found.upper), found.equal_within or 0.0)

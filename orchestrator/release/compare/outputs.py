@@ -9,8 +9,11 @@ from ....schemas.amounts import counted
 from ....schemas.errors import one_line
 from ....schemas.result.comparison import ComparedQuantity, Comparison, ComparisonVerdict, Difference
 from ...certificate.words.bound_text import as_required, clip_words, in_unit, outward
-from ...certificate.words.console_lines import hanging, heading, plain_line
+from ...certificate.words.console_lines import aligned, hanging, heading, plain_line
 
+HEAD = ("", "A", "B", "B - A", "verdict")
+NUMBERS = (1, 2, 3)
+"""The columns of numbers."""
 NAMES: Mapping[ComparedQuantity, str] = {
     "mean": "mean robustness",
     "failure_probability": "failure probability",
@@ -33,17 +36,15 @@ CONCLUSIONS: Mapping[ComparisonVerdict, str] = {
 
 def print_comparison(found: Comparison, console: Console) -> None:
     """Print both systems, a line for each difference with its verdict, and the result last."""
-    for line in system_lines(found):
-        plain_line(console, line)
+    for text in system_lines(found):
+        plain_line(console, text)
     console.print()
-    rows = [("", "A", "B", "B - A", "verdict"), *map(row, found.differences)]
-    widths = [max(len(each[column]) for each in rows) for column in range(len(rows[0]))]
-    for number, (first, *numbers, verdict) in enumerate(rows):
-        cells = [first.ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(numbers, widths[1:], strict=False))]
-        text = Text("  ".join(cells), "" if number else "bold").append(f"  {verdict}")
-        if number:
-            text.stylize(STYLES[found.differences[number - 1].verdict], len(text) - len(verdict))
-        console.print(text, soft_wrap=True)
+    head, *lines = aligned([HEAD, *map(row, found.differences)], right=NUMBERS)
+    plain_line(console, head, "bold")
+    for each, text in zip(found.differences, lines, strict=True):
+        line = Text(text)
+        line.stylize(STYLES[each.verdict], len(line) - len(verdict_words(each)))
+        console.print(line, soft_wrap=True)
     console.print()
     hanging(console, Text(), " ".join(sentences(found)))
     heading(console, conclusion(found), STYLES[found.verdict])

@@ -19,7 +19,7 @@ from ...report.rollout.load import load_recorded
 from ...run.known import system_file
 from .differences import Pairs, differences
 from .figures import intervals_figure, numbers_of, pairs_figure, trajectories_figure
-from .outputs import STYLES, conclusion, row, sentences, system_lines
+from .outputs import HEAD, STYLES, conclusion, row, sentences, system_lines
 from .systems import Compared
 
 MOST_DIFFERENT = 5
@@ -61,7 +61,7 @@ def _sections(both: Mapping[Path, Compared], pairs: Pairs, starts: Floats, found
     yield f"<pre>{html.escape(chr(10).join(system_lines(found)))}</pre>"
     yield f"<p>Specification: <code>{html.escape(one_line(found.specification))}</code></p>"
     colours = [_colour(each.verdict) for each in found.differences]
-    yield _table(("", "A", "B", "B - A", "verdict"), [row(each) for each in found.differences], colours)
+    yield _table(HEAD, [row(each) for each in found.differences], colours)
     yield f"<p>{html.escape(' '.join(sentences(found)))}</p>"
     delta, equal = 1.0 - found.probability, {each.quantity: each.equal_within for each in found.differences}
     known = {quantity: number for quantity, number in equal.items() if number is not None}

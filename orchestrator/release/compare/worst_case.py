@@ -24,8 +24,8 @@ from ...certificate.words.text import claim_words
 from ...mathematics.bounds.rounding import round_down, round_up
 from ...run.options import RunOptions
 from ...store.export_tables import robustness_unit
-from .conduct import Terms, check_equal, document, ended, in_folder, run_to_end, write
-from .differences import Interval, judged, overall
+from .conduct import Terms, check_equal, comparison, ended, in_folder, run_to_end, write
+from .differences import Interval, judged
 from .systems import Compared
 
 
@@ -79,26 +79,14 @@ def compare_worst(
         words = " and ".join(map(claim_words, about))
         raise PerfboundError(f"{out}: the bounds are about {words}; give both campaigns the same candidates and noise")
     (low_a, high_a), (low_b, high_b) = map(_ends, both, certificates)
-    one, a, b = systems[0], *(document(*each) for each in both.items())
     interval = Interval(
         (low_a + high_a) / 2, (low_b + high_b) / 2, round_down(low_b - high_a), round_up(high_b - low_a)
     )
-    unit = robustness_unit(one.config, one.header.spec)
-    found = judged("worst_case", interval, terms.equal.get("worst_case"), unit)
-    comparison = Comparison(
-        a=a,
-        b=b,
-        specification=one.config.formula or "",
-        clip=one.config.clip,
-        pairs=0,
-        most_pairs=0,
-        common=(),
-        probability=1.0 - terms.delta,
-        differences=(found,),
-        verdict=overall([found.verdict]),
-    )
-    write(out, comparison)
-    return comparison
+    header = systems[0].header
+    unit = robustness_unit(header.config, header.spec)
+    found = comparison(both, [judged("worst_case", interval, terms.equal.get("worst_case"), unit)], terms)
+    write(out, found)
+    return found
 
 
 def _ends(directory: Path, certificate: Certificate) -> tuple[float, float]:
