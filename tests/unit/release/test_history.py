@@ -92,6 +92,13 @@ def test_a_requirement_is_named_by_id_or_name(runs: Path, wanted: str) -> None:
     assert whole.lower is not None
 
 
+def test_the_last_rollout_decides_the_order_and_no_name(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for order in (["v1", "v2"], ["v2", "v1"]):
+        monkeypatch.setattr(module, "last_outcome", lambda each, of=order: 1e9 + of.index(each.name))
+        monkeypatch.setattr(module, "run_directories", lambda folder: [folder / "v1", folder / "v2"])
+        assert [each.directory.name for each in history(runs / "versions", None).versions] == order
+
+
 def test_other_starts_are_another_question_and_comparisons_no_versions(runs: Path, tmp_path: Path) -> None:
     shutil.copytree(runs / "versions", tmp_path / "all")
     small: dict[str, Any] = {"spot_check": 0, "recheck": 0, "max_tests": 20}

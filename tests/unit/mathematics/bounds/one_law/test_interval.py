@@ -62,6 +62,14 @@ def test_it_decides_a_fifth_of_a_standard_deviation() -> None:
     assert 0.0 < lower < 0.02 < upper < 0.05
 
 
+@pytest.mark.parametrize("about", [-0.5, 0.0, 0.5])
+def test_where_candidates_are_closest_is_no_guess_of_the_mean(about: float) -> None:
+    values = np.random.default_rng(3).normal(0.45, 0.1, 500).clip(-1.0, 1.0)
+    lower, upper = mean_interval(values, ENDS, 0.05, about=about)
+    assert lower < 0.45 < upper
+    assert upper - lower < 0.04
+
+
 @pytest.mark.parametrize(
     ("values", "ends", "delta", "about", "reason"),
     [
