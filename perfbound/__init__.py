@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from .library.run import resume_run as resume
     from .library.run import robustness
     from .library.search import Search
+    from .orchestrator.release.regression.replay import Scenarios
     from .results import read_certificate, read_trajectory
     from .schemas import __version__
     from .schemas.errors import PerfboundError
@@ -54,6 +55,7 @@ __all__ = [
     "Parameter",
     "PerfboundError",
     "Rig",
+    "Scenarios",
     "Search",
     "SimulationError",
     "SystemSpec",
@@ -78,6 +80,7 @@ _HOMES = {
     "Campaign": ".library.campaign",
     "PerfboundError": ".schemas.errors",
     "Rig": ".library.rig",
+    "Scenarios": ".orchestrator.release.regression.replay",
     "Search": ".library.search",
     "__version__": ".schemas",
     "open": ".library.run:open_run",

@@ -3,6 +3,7 @@
 from . import (  # each adds its commands
     campaigns,
     certificate,
+    export,
     imported,
     manual,
     pki,
@@ -19,6 +20,7 @@ from .entry import main
 __all__ = [
     "campaigns",
     "certificate",
+    "export",
     "imported",
     "main",
     "manual",

@@ -22,7 +22,7 @@ from .rows import DATABASE
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["TABLES", "counterexamples", "export", "stream", "table_array", "table_rows", "whole"]
+__all__ = ["TABLES", "counterexamples", "csv_rows", "export", "stream", "table_array", "table_rows", "whole"]
 
 Format = Literal["csv", "parquet"]
 DEFAULT = "export"
@@ -135,11 +135,18 @@ def _writer(form: Format) -> Callable[[IO[bytes], ExportTable, Iterable[Row], He
 
 
 def _csv(out: IO[bytes], table: ExportTable, found: Iterable[Row], _header: Header) -> int:
-    """Write RFC 4180: UTF-8, CRLF, floats that read back exactly, nothing for NULL; units are in the first line."""
+    return csv_rows(out, table.columns, found)
+
+
+def csv_rows(out: IO[bytes], columns: Iterable[ExportColumn], found: Iterable[Row]) -> int:
+    """Write RFC 4180: UTF-8, CRLF, floats that read back exactly, nothing for NULL; units are in the first line.
+
+    Return the number of rows.
+    """
     text = io.TextIOWrapper(out, encoding="utf-8", newline="")
     try:
         writer, number = csv.writer(text), 0
-        writer.writerow(_column_title(column) for column in table.columns)
+        writer.writerow(map(_column_title, columns))
         for number, row in enumerate(found, 1):  # noqa: B007
             writer.writerow(map(_cell, row))
         text.flush()

@@ -217,7 +217,7 @@ def _rollouts_table(name: str, header: Header, query: sa.Select[Any], *, violati
             yield *which, *starts[fact.rollout.test - row.first], *values, *found, *attempt
 
     robustness = ExportColumn("robustness", unit=robustness_unit(header.config, header.spec))
-    disturbances = _declared("disturbance", header.spec.disturbances, taken=header.spec.as_parameters)
+    disturbances = declared_columns("disturbance", header.spec.disturbances, {*_TAKEN, *header.spec.as_parameters})
     columns = (*_ROLLOUT, *_starts(header), *disturbances, robustness, *_REMARKS, *_FILE, *_ATTEMPT)
     return ExportTable(name, columns, query, expand)
 
@@ -334,14 +334,14 @@ def _objectives(header: Header) -> dict[str, tuple[str, str]]:
 
 def _starts(header: Header) -> tuple[ExportColumn, ...]:
     """Return the parameters."""
-    return _declared("start", header.spec.parameters)
+    return declared_columns("start", header.spec.parameters, _TAKEN)
 
 
-def _declared(
-    what: str, numbers: Iterable[Parameter | Disturbance], *, taken: Collection[str] = ()
+def declared_columns(
+    what: str, numbers: Iterable[Parameter | Disturbance], taken: Collection[str]
 ) -> tuple[ExportColumn, ...]:
-    """Return numbers that a system declares; one that is called like another column gets a name that is free."""
-    names = ((f"{what}_{each.name}" if each.name in {*_TAKEN, *taken} else each.name, each.unit) for each in numbers)
+    """Return the columns of numbers that a system declares; one called like a `taken` one gets a name that is free."""
+    names = ((f"{what}_{each.name}" if each.name in taken else each.name, each.unit) for each in numbers)
     return tuple(ExportColumn(name, unit=unit) for name, unit in names)
 
 

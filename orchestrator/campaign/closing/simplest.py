@@ -30,7 +30,7 @@ class SimplestFailures(AfterCounterexample):
         names = [parameter.name for parameter in header.spec.parameters]
         region = condition(header.config.where, names)
         self.nominal = nominal_start(header)
-        groups = _groups(header, names)
+        groups = start_groups(header, names)
         self.each = [Simplification(found, self.nominal, groups, region, falsify.simplest_tests) for found in failures]
         self._seeds: list[int] = []
         """Of the tests so far."""
@@ -123,7 +123,7 @@ def _violated(rollout: RolloutFact) -> tuple[int, ...]:
     return violated_parts(rollout.robustness or 0.0, rollout.parts)
 
 
-def _groups(header: Header, names: Sequence[str]) -> list[Group]:
+def start_groups(header: Header, names: Sequence[str]) -> list[Group]:
     """Return the numbers of the parameters of each input over time, and each other parameter alone."""
     first = {name: shape.names[0] for shape in signal_shapes(header.config.space) for name in shape.names}
     groups: dict[str, list[int]] = {}

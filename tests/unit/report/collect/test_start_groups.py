@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from perfbound.orchestrator.mathematics.linkage import NEAR
 from perfbound.orchestrator.report.collect import start_groups
-from perfbound.orchestrator.report.collect.start_groups import NEAR, grouped
+from perfbound.orchestrator.report.collect.start_groups import grouped
 from perfbound.orchestrator.report.data.rollouts import StartGroup, ViolatingStart
 
 BOX = [(0.0, 100.0), (-1.0, 1.0)]

@@ -1,0 +1,80 @@
+"""What a rollout shows of a specification: its robustness, what it violates, and when."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from ....schemas.system import SystemSpec
+from ....schemas.trajectory.trajectory import Trajectory
+from ....schemas.values import Beyond
+from ...campaign.objectives import scored
+from ...mathematics.search.goal import goal_of
+from ...mathematics.stl.over_time import worst_moment
+from ...mathematics.stl.parser import Formula, parse_formula
+from ...mathematics.stl.text import text
+
+Specification = str | Mapping[str, str]
+"""A formula, or the formula of each requirement by its name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a rollout shows."""
+
+    robustness: float
+    """Not clipped."""
+    violated: tuple[str, ...]
+    """Names of requirements, or parts of the formula; empty where it is met."""
+    moment: float | None
+    """When the robustness is attained, in s; None where that is no single stretch of time."""
+
+    @property
+    def fails(self) -> bool:
+        """Whether the specification is violated."""
+        return self.robustness < 0.0
+
+
+class Judge:
+    """The outcomes of rollouts of one system.
+
+    Raises:
+        FormulaError: the specification is not one over the columns of the system.
+
+    """
+
+    def __init__(self, specification: Specification, spec: SystemSpec, beyond: Beyond) -> None:
+        self._after_end, self._beyond = spec.after_end, beyond
+        if isinstance(specification, str):
+            self._whole = parse_formula(specification, spec.units)
+            self._parts = {text(part): part for part in goal_of(self._whole)[1]}
+        else:
+            self._whole = parse_formula(" and ".join(f"({each})" for each in specification.values()), spec.units)
+            self._parts = {name: parse_formula(formula, spec.units) for name, formula in specification.items()}
+
+    def outcome(self, trajectory: Trajectory) -> Outcome:
+        """Return what a rollout shows.
+
+        Raises:
+            ValueError: the formula cannot be evaluated on this trajectory.
+
+        """
+        robustness = self._robustness(self._whole, trajectory)
+        if not robustness < 0.0:
+            return Outcome(robustness, (), None)
+        violated = tuple(name for name, part in self._parts.items() if self._of_part(part, trajectory) < 0.0)
+        found = worst_moment(self._whole, trajectory.columns, trajectory.samples, self._beyond)
+        moment = None if found is None else float(trajectory.samples[found.first, 0])
+        return Outcome(robustness, violated, moment)
+
+    def _of_part(self, part: Formula, trajectory: Trajectory) -> float:
+        try:
+            return self._robustness(part, trajectory)
+        except ValueError:  # what decides nothing alone, as a window that is empty
+            return 0.0
+
+    def _robustness(self, formula: Formula, trajectory: Trajectory) -> float:
+        return scored(formula, trajectory, self._after_end, self._beyond).robustness
+
+
+def at(moment: float | None) -> str:
+    """Return a moment in s as the end of a phrase; empty for None."""
+    return "" if moment is None else f" at {moment:.4g} s"
