@@ -24,6 +24,7 @@ from ...store.read import stored_header
 from .failures import Failure, Failures, alike, failures_of
 from .minimise import Movable, minimised
 from .outcome import Judge, Specification, at
+from .rollouts import simulated
 from .scenarios import scenario_table
 
 TESTS_FILE = '''"""Failing rollouts of the campaign {campaign!r}; written by `perfbound export --regression`.
@@ -85,13 +86,17 @@ def export_regression(directory: Path, folder: Path, wanted: Wanted, report: Rep
 
     """
     header = stored_header(directory)
-    system, specification = _system(directory, header, wanted.campaign), _specification(header, directory)
+    system, specification = _system(directory, header, wanted.campaign), specification_of(header, directory)
     movable = Movable(header, _checked(header, wanted.nominal))
     judge = Judge(specification, header.spec, header.config.beyond)
     found = failures_of(directory, header, judge, partial(report, "failures read"))
     worst, most = [group[0] for group in found.groups[: wanted.kinds]], wanted.tests * wanted.kinds
     moved = minimised(
-        worst, movable, judge, system, tests=wanted.tests, report=lambda done: report("rollouts", done, most)
+        worst,
+        movable,
+        partial(simulated, system, judge),
+        tests=wanted.tests,
+        report=lambda done: report("rollouts", done, most),
     )
     kinds = _kinds(header, worst, moved)
     named = [
@@ -135,13 +140,19 @@ def _system(directory: Path, header: Header, campaign: Path) -> ChildSystem:
     if here.digest != spec.digest:
         raise CampaignError(
             f"{campaign}: its system is another one than that of {directory}: "
-            f"{'; '.join(differences(spec, here)) or 'another name'}; export with the sources of the campaign, "
+            f"{'; '.join(differences(spec, here)[:3]) or 'another name'}; export with the sources of the campaign, "
             "and mend them then"
         )
     return ChildSystem(str(campaign), spec, header.config.deadline, math.inf)
 
 
-def _specification(header: Header, directory: Path) -> Specification:
+def specification_of(header: Header, directory: Path) -> Specification:
+    """Return the formula of a campaign, or that of each requirement by its id, or by its name.
+
+    Raises:
+        PerfboundError: the campaign has none.
+
+    """
     config = header.config
     if config.formula is None:
         raise PerfboundError(f"{directory}: the campaign has no specification that a rollout could violate")

@@ -1,29 +1,26 @@
-"""Failures moved towards the nominal start and the medians of their disturbances, by further rollouts in a child."""
+"""Failures moved towards the nominal start and the medians of their disturbances, by further rollouts."""
 
-import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
-from ....schemas.errors import PerfboundError, UnusableTrajectoryError
+from ....schemas.errors import PerfboundError
 from ....schemas.file.against_system import SEARCHED_SCORE
 from ....schemas.ids import RolloutId
 from ....schemas.result.facts import Header
 from ....schemas.rollout import RolloutRequest
-from ....schemas.trajectory.trajectory import Trajectory
-from ...campaign.admission import check_whole
 from ...campaign.closing.after_counterexample import nominal_start
 from ...campaign.closing.simplest import start_groups
 from ...campaign.region import condition
 from ...campaign.starts import Listed, of_space
-from ...fleet.children.rollouts import ChildRolloutError, ChildSystem, finished, simulate_in_child
 from ...mathematics.search.nearest import nearest_tests
 from ...mathematics.search.simplest import Group, Point
 from .failures import Failure
-from .outcome import Judge, Outcome
+from .outcome import Outcome
 
+Simulate = Callable[[Sequence[RolloutRequest]], Sequence[Outcome | None]]
+"""Returns what rollouts show; None of one that gives no trajectory."""
 NAME = "regression"
 """Of these rollouts, in place of a problem."""
 
@@ -80,24 +77,23 @@ class Movable:
 def minimised(
     failures: Sequence[Failure],
     movable: Movable,
-    judge: Judge,
-    system: ChildSystem,
+    simulate: Simulate,
     *,
     tests: int,
     report: Callable[[int], None],
 ) -> list[Failure]:
     """Return the nearest failure that follows from each, with at most `tests` rollouts for each.
 
-    All make one step together, so that a child process simulates a rollout of each; `report` gets their number.
+    All make one step together, for which `simulate` gets a request of each; `report` gets the number of rollouts.
 
     Raises:
         PerfboundError: a failure does not fail when it is simulated again.
 
     """
-    _check_again(failures, _simulated([movable.request(each, movable.point(each)) for each in failures], judge, system))
+    _check_again(failures, simulate([movable.request(each, movable.point(each)) for each in failures]))
     descents, done = [_Descent(each, movable, tests) for each in failures], 0
     while active := [each for each in descents if each.next is not None]:
-        for descent, outcome in zip(active, _simulated([each.request for each in active], judge, system), strict=True):
+        for descent, outcome in zip(active, simulate([each.request for each in active]), strict=True):
             descent.take(outcome)
         done += len(active)
         report(done)
@@ -160,32 +156,3 @@ class _Descent:
             return self._tests.send(fails)
         except StopIteration:
             return None
-
-
-def _simulated(requests: Sequence[RolloutRequest], judge: Judge, system: ChildSystem) -> list[Outcome | None]:
-    """Return what rollouts show; None of one that gives no trajectory, as a simulator that ends there."""
-    found = list[Outcome | None]()
-    while len(found) < len(requests):
-        left = requests[len(found) :]
-        with tempfile.TemporaryDirectory() as folder:
-            try:
-                simulate_in_child(system, left, Path(folder))
-                found += _outcomes(system, left, Path(folder), judge)
-            except ChildRolloutError:
-                found += [*_outcomes(system, left, Path(folder), judge), None]
-    return found[: len(requests)]
-
-
-def _outcomes(
-    system: ChildSystem, requests: Sequence[RolloutRequest], folder: Path, judge: Judge
-) -> Iterator[Outcome | None]:
-    for request, trajectory, _ in finished(system, requests, folder):
-        yield _outcome(trajectory, request, system, judge)
-
-
-def _outcome(trajectory: Trajectory, request: RolloutRequest, system: ChildSystem, judge: Judge) -> Outcome | None:
-    try:
-        check_whole(trajectory, tuple(column.name for column in system.spec.columns), request.horizon)
-        return judge.outcome(trajectory)
-    except (UnusableTrajectoryError, ValueError):
-        return None

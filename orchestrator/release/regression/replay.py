@@ -94,7 +94,9 @@ class Scenarios:
             found = judge.outcome(self._simulated(request))
         except (_ChangedError, ValueError) as reason:
             return Replay(name, "changed", str(reason))
-        state, words = _compared(scenario.outcome, found, self._config, robustness_unit(self._config, self._spec))
+        state, words = compared(
+            scenario.outcome, found, self._config.horizon, robustness_unit(self._config, self._spec)
+        )
         return Replay(name, state, words, found.robustness, self._command(request, f"{name}.png"))
 
     def __iter__(self) -> Iterator[Replay]:
@@ -155,7 +157,7 @@ class Scenarios:
         return trajectory
 
 
-def _compared(before: Outcome, now: Outcome, config: CampaignConfig, unit: str) -> tuple[State, str]:
+def compared(before: Outcome, now: Outcome, horizon: float, unit: str) -> tuple[State, str]:
     """Return what a failing rollout of a campaign is now, in words too."""
     margin = f"robustness {margin_words(now.robustness, unit)}"
     was = f"it was {margin_words(before.robustness, unit)}"
@@ -169,6 +171,6 @@ def _compared(before: Outcome, now: Outcome, config: CampaignConfig, unit: str) 
             f"violates {' and '.join(now.violated)}, with {margin}; before {' and '.join(before.violated)}",
         )
     moments = [math.inf if each.moment is None else each.moment for each in (before, now)]
-    if moments[0] != moments[1] and not abs(moments[1] - moments[0]) <= SAME_MOMENT * config.horizon:
+    if moments[0] != moments[1] and not abs(moments[1] - moments[0]) <= SAME_MOMENT * horizon:
         return "changed", f"fails at another moment: {margin}; {was}"
     return "still failing", f"{margin}; {was}"
