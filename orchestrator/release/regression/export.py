@@ -22,9 +22,8 @@ from ...store.export import whole
 from ...store.export_tables import robustness_unit
 from ...store.read import stored_header
 from .failures import Failure, Failures, alike, failures_of
-from .minimise import Movable, minimised
+from .minimise import Movable, minimised, simulated
 from .outcome import Judge, Specification, at
-from .rollouts import simulated
 from .scenarios import scenario_table
 
 TESTS_FILE = '''"""Failing rollouts of the campaign {campaign!r}; written by `perfbound export --regression`.

@@ -1,23 +1,28 @@
 """Failures moved towards the nominal start and the medians of their disturbances, by further rollouts."""
 
-from collections.abc import Callable, Mapping, Sequence
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
-from ....schemas.errors import PerfboundError
+from ....schemas.errors import PerfboundError, UnusableTrajectoryError
 from ....schemas.file.against_system import SEARCHED_SCORE
 from ....schemas.ids import RolloutId
 from ....schemas.result.facts import Header
 from ....schemas.rollout import RolloutRequest
+from ....schemas.trajectory.trajectory import Trajectory
+from ...campaign.admission import check_whole
 from ...campaign.closing.after_counterexample import nominal_start
 from ...campaign.closing.simplest import start_groups
 from ...campaign.region import condition
 from ...campaign.starts import Listed, of_space
+from ...fleet.children.rollouts import ChildRolloutError, ChildSystem, finished, simulate_in_child
 from ...mathematics.search.nearest import nearest_tests
 from ...mathematics.search.simplest import Group, Point
 from .failures import Failure
-from .outcome import Outcome
+from .outcome import Judge, Outcome
 
 Simulate = Callable[[Sequence[RolloutRequest]], Sequence[Outcome | None]]
 """Returns what rollouts show; None of one that gives no trajectory."""
@@ -156,3 +161,32 @@ class _Descent:
             return self._tests.send(fails)
         except StopIteration:
             return None
+
+
+def simulated(system: ChildSystem, judge: Judge, requests: Sequence[RolloutRequest]) -> list[Outcome | None]:
+    """Return what rollouts show, from one child process; None of one that gives no trajectory, as where it crashes."""
+    found = list[Outcome | None]()
+    while len(found) < len(requests):
+        left = requests[len(found) :]
+        with tempfile.TemporaryDirectory() as folder:
+            try:
+                simulate_in_child(system, left, Path(folder))
+                found += _outcomes(system, left, Path(folder), judge)
+            except ChildRolloutError:
+                found += [*_outcomes(system, left, Path(folder), judge), None]
+    return found[: len(requests)]
+
+
+def _outcomes(
+    system: ChildSystem, requests: Sequence[RolloutRequest], folder: Path, judge: Judge
+) -> Iterator[Outcome | None]:
+    for request, trajectory, _ in finished(system, requests, folder):
+        yield _outcome(trajectory, request, system, judge)
+
+
+def _outcome(trajectory: Trajectory, request: RolloutRequest, system: ChildSystem, judge: Judge) -> Outcome | None:
+    try:
+        check_whole(trajectory, tuple(column.name for column in system.spec.columns), request.horizon)
+        return judge.outcome(trajectory)
+    except (UnusableTrajectoryError, ValueError):
+        return None

@@ -11,7 +11,7 @@ from tests.architecture import source
 
 FLOORS = {room: -floor for floor, rooms in enumerate((*source.FLOORS, ("schemas",))) for room in rooms}
 ROOMS = set(FLOORS) - {"schemas"}
-MODULE_LINES, CLASS_LINES, METHODS, PARAMETERS, ARROWS, FILES = 600, 300, 20, 7, 57, 25
+MODULE_LINES, CLASS_LINES, METHODS, PARAMETERS, ARROWS, FILES = 600, 300, 20, 7, 59, 25
 SMALL = 60
 """Lines. A module below it with one importer belongs into that one, unless its first line says why it is apart."""
 

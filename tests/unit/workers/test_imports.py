@@ -73,6 +73,7 @@ def test_the_public_names_are_frozen() -> None:
         "Parameter",
         "PerfboundError",
         "Rig",
+        "Scenarios",
         "Search",
         "SimulationError",
         "SystemSpec",

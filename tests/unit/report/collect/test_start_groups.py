@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from perfbound.orchestrator.mathematics.linkage import NEAR
-from perfbound.orchestrator.report.collect import start_groups
-from perfbound.orchestrator.report.collect.start_groups import grouped
+from perfbound.orchestrator.report.collect import violations
+from perfbound.orchestrator.report.collect.violations import grouped
 from perfbound.orchestrator.report.data.rollouts import StartGroup, ViolatingStart
 
 BOX = [(0.0, 100.0), (-1.0, 1.0)]
@@ -88,7 +88,7 @@ def test_a_system_without_parameters_has_one_group() -> None:
 
 
 def test_starts_beyond_the_limit_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(start_groups, "MOST_STARTS", 2)
+    monkeypatch.setattr(violations, "MOST_STARTS", 2)
     found = grouped([start(10.0 * k, worst=-1.0 - k, violations=k + 1, rollouts=10) for k in range(5)], [(0.0, 100.0)])
     assert [each.worst for group in found.groups for each in group.starts] == [-5.0, -4.0]
     assert (found.starts, found.other_starts, found.other_violations, found.other_rollouts) == (5, 3, 1 + 2 + 3, 30)
