@@ -31,18 +31,20 @@ from .stderr import STDERR
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the checks as JSON.")
 def verify(*, path: Path, key: Path | None, again: int, system: str | None, as_json: bool) -> None:
-    """Check the certificate in PATH, a run directory or a certificate, against its evidence.
+    """Check the certificate in PATH, a run directory, a certificate or a bundle, against its evidence.
 
     The campaign is decided again from the trajectory files alone. Exits with 1 if any check fails.
     """
     from rich.progress import Progress  # noqa: PLC0415
 
     from ..certificate.verify import run, stages, table  # noqa: PLC0415
+    from ..release.safety_case.bundle import is_bundle, verify_bundle  # noqa: PLC0415
 
     if path.suffix == ".toml":
         raise PerfboundError(f"{path}: this is a campaign file; give its run directory, such as runs/{path.stem}")
     with Progress(console=STDERR.console, transient=True, disable=not sys.stderr.isatty()) as progress:
-        found = run.verify_certificate(path, key=key, again=again, report=stages.stage_bars(progress), system=system)
+        verified = verify_bundle if is_bundle(path) else run.verify_certificate
+        found = verified(path, key=key, again=again, report=stages.stage_bars(progress), system=system)
     if as_json:
         click.echo(table.as_json(found))
     else:

@@ -10,8 +10,9 @@ from ...schemas.amounts import counted
 from ...schemas.errors import meant
 from ...schemas.number_text import number_in
 from .early import check_directory
-from .group import RUN_DIRECTORY, cli
+from .group import RUN_DIRECTORY, cli, output_console
 from .pipes import stdout_bytes
+from .signing import load_key
 from .stderr import STDERR
 
 FILE = click.Path(path_type=Path, dir_okay=False)
@@ -70,6 +71,21 @@ def _nominal(_context: click.Context, _parameter: click.Parameter, given: tuple[
     callback=_nominal,
     help="With --regression: the nominal value of a parameter, by default the middle of its range; may be repeated.",
 )
+@click.option(
+    "--safety-case",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=None,
+    metavar="DIR",
+    help="Write instead a safety case of the finished campaign: a document, a drawing and its argument.",
+)
+@click.option("--bundle", type=FILE, default=None, help="Write instead one zip file with all that `verify` needs.")
+@click.option("--digests", is_flag=True, help="With --bundle: leave out the trajectories; their digests stay.")
+@click.option(
+    "--key", "signers", type=FILE, multiple=True, help="With these: public key of who has signed; may be repeated."
+)
+@click.option(
+    "--sign", type=FILE, default=None, metavar="KEY", help="With --bundle: sign its list with this private key."
+)
 def export(
     *,
     directory: Path,
@@ -79,6 +95,11 @@ def export(
     rollouts: tuple[str, ...],
     batches: bool,
     regression: Path | None,
+    safety_case: Path | None,
+    bundle: Path | None,
+    digests: bool,
+    signers: tuple[Path, ...],
+    sign: Path | None,
     **options: Any,
 ) -> None:
     """Write TABLES of the campaign in DIRECTORY as files, while it runs too.
@@ -96,6 +117,13 @@ def export(
     """
     from ..store import export as store  # noqa: PLC0415
 
+    if safety_case is not None or bundle is not None or signers or sign or digests:
+        if bundle is None and (sign or digests or safety_case is None):
+            raise click.UsageError("--digests and --sign are for --bundle; --key is for --bundle and --safety-case")
+        if tables or rollouts or batches or out or form != "csv" or regression is not None or any(options.values()):
+            raise click.UsageError("--safety-case and --bundle take no TABLES and no other option than theirs")
+        _export_case(directory, safety_case, bundle, signers=signers, sign=sign, trajectories=not digests)
+        return
     if regression is not None or any(options.values()):
         if regression is None or tables or rollouts or batches or out or form != "csv":
             raise click.UsageError(
@@ -168,3 +196,48 @@ def _export_regression(
         lines = export_regression(directory, folder, wanted, stage_bars(progress))
     for line in lines:
         click.echo(line)
+
+
+def _export_case(
+    directory: Path,
+    folder: Path | None,
+    bundle: Path | None,
+    *,
+    signers: tuple[Path, ...],
+    sign: Path | None,
+    trajectories: bool,
+) -> None:
+    from rich.progress import Progress  # noqa: PLC0415
+    from rich.text import Text  # noqa: PLC0415
+
+    from ..certificate.verify.run import verify_certificate  # noqa: PLC0415
+    from ..certificate.verify.stages import stage_bars  # noqa: PLC0415
+    from ..certificate.words.console_lines import hanging  # noqa: PLC0415
+    from ..release.safety_case.bundle import write_bundle  # noqa: PLC0415
+    from ..release.safety_case.case import safety_case as case_of  # noqa: PLC0415
+    from ..release.safety_case.files import case_files  # noqa: PLC0415
+    from ..run.directory import finished_certificate  # noqa: PLC0415
+    from ..store.export import whole  # noqa: PLC0415
+
+    key = None if sign is None else load_key(sign)
+    finished_certificate(directory)  # else the verification would say that there is nothing to verify
+    with Progress(console=STDERR.console, transient=True, disable=not sys.stderr.isatty()) as progress:
+        report = stage_bars(progress)
+        verified = verify_certificate(directory, key=None, again=0, report=report)
+        lines = verified.checks.lines()
+        case = case_of(directory, signers, verified.certificate or finished_certificate(directory), lines)
+        if folder is not None:
+            made = case_files(case)
+            with whole(directory, [folder / name for name in made]) as written:
+                for file, data in zip(written, made.values(), strict=True):
+                    file.write(data)
+        if bundle is not None:
+            number = write_bundle(
+                bundle, directory, case, lines, signers=signers, trajectories=trajectories, key=key, report=report
+            )
+    hanging(output_console(), Text(), case.answer)
+    if folder is not None:
+        for name in made:
+            click.echo(folder / name)
+    if bundle is not None:
+        click.echo(f"{bundle}  {counted(number, 'file')}; to check it anywhere: perfbound verify {bundle.name}")

@@ -96,6 +96,37 @@ def signed_certificate(envelope: Path, certificate: Path, public_key: Ed25519Pub
     return payload
 
 
+def unsigned(directory: Path, public_key: Ed25519PublicKey) -> str:
+    """Return why the certificate in a run directory does not count as signed by a key; nothing where it does.
+
+    Raises:
+        EvidenceError: a file cannot be read.
+
+    """
+    envelope = directory / files.ENVELOPE
+    if not envelope.exists():
+        return "it is not signed"
+    try:
+        signed_certificate(envelope, directory / files.CERTIFICATE, public_key)
+    except SignatureError as error:
+        return str(error)
+    return ""
+
+
+def claimed_signers(directory: Path) -> tuple[str, ...]:
+    """Return the ids of the keys that the envelope of a run directory names, none of which is checked.
+
+    Raises:
+        SignatureError: it is no envelope.
+        EvidenceError: it cannot be read.
+
+    """
+    envelope = directory / files.ENVELOPE
+    if not envelope.exists():
+        return ()
+    return tuple(each.keyid for each in _parse(contents(envelope, MAX_ENVELOPE)).signatures)
+
+
 def sign_certificate(directory: Path, key: Ed25519PrivateKey) -> Path:
     """Sign the certificate in `directory`, and the record of its attempts; return the path of the envelope.
 

@@ -243,7 +243,7 @@ def first_claim(certificate: Certificate, console: Console, unit: str = "") -> N
 def other_claims(predicate: Predicate, unit: str, most: int) -> tuple[str, ...]:
     """Return the claims after the first in a line each, at most so many of them, and how many more there are."""
     others = [
-        f"{_claim_heading(claim, unit)}, {short_chance(claim.probability, claim.assumptions)}"
+        f"{claim_heading(claim, unit)}, {short_chance(claim.probability, claim.assumptions)}"
         + (f", {claim.rule} rule" if composes(claim.rule) else "")
         + (": REFUTED" if claim.refuted else "")
         for claim in predicate.claims[1:]
@@ -252,7 +252,8 @@ def other_claims(predicate: Predicate, unit: str, most: int) -> tuple[str, ...]:
     return tuple(others) if more <= 0 else (*others[:most], counted(more, "further claim"))
 
 
-def _claim_heading(claim: CertificateClaim, unit: str) -> str:
+def claim_heading(claim: CertificateClaim, unit: str) -> str:
+    """Return what a claim says, without its probability; `unit` is that of the robustness."""
     return f"{claim_words(claim)} {claim.sense} {margin_text(_bound(claim), claim, unit)}"
 
 
@@ -383,7 +384,7 @@ def _claim(title: str, certificate: Certificate, number: int, console: Console, 
     predicate = certificate.predicate
     claim = predicate.claims[number]
     console.print()
-    hanging(console, Text(f"{title}  ", "bold"), _claim_heading(claim, unit))
+    hanging(console, Text(f"{title}  ", "bold"), claim_heading(claim, unit))
     rule = f"{claim.rule} rule, " if composes(claim.rule) else ""
     source = f"method {claim.method}, {rule}{_validity(claim)}"
     # Certainty names the assumptions that it rests on itself.

@@ -4,12 +4,10 @@ import hashlib
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
-
-from ....schemas.errors import PerfboundError, SignatureError, one_line
+from ....schemas.errors import PerfboundError, one_line
 from ...certificate import files
 from ...certificate.signing.keys import load_public
-from ...certificate.signing.sign import signed_certificate
+from ...certificate.signing.sign import unsigned
 from ...certificate.verify.run import Verification, verify_certificate
 from ...certificate.verify.stages import Report
 from ...run.directory import finished_certificate
@@ -67,7 +65,7 @@ def read_subject(directory: Path, policy: Policy, system: str | None, report: Re
             directory,
             finished(directory, certificate),
             checks=0 if verified is None else sum(each.status == "passed" for each in verified.checks.lines()),
-            unsigned={key: why for key in policy.signed_by if (why := _unsigned(directory, load_public(Path(key))))},
+            unsigned={key: why for key in policy.signed_by if (why := unsigned(directory, load_public(Path(key))))},
             resimulated=verified.checks.found["resimulation"].detail if verified and policy.resimulated else "",
             sha256=sha256,
         )
@@ -89,15 +87,3 @@ def _failed_checks(verified: Verification, policy: Policy) -> tuple[str, ...]:
         f"{name}: {lines[name].detail}; {why}" for name, why in needed.items() if lines[name].status == "skipped"
     )
     return failed or tuple(skipped)
-
-
-def _unsigned(directory: Path, key: Ed25519PublicKey) -> str:
-    """Return why the certificate in a directory does not count as signed by a key; nothing where it does."""
-    envelope = directory / files.ENVELOPE
-    if not envelope.exists():
-        return "it is not signed"
-    try:
-        signed_certificate(envelope, directory / files.CERTIFICATE, key)
-    except SignatureError as error:
-        return str(error)
-    return ""

@@ -1,0 +1,301 @@
+"""A bundle: one zip file with a certificate, its evidence and its safety case, which can be verified anywhere.
+
+| file                | content                                                                                   |
+|---------------------|-------------------------------------------------------------------------------------------|
+| `bundle.json`       | an in-toto statement whose subjects are all other files, by their SHA-256                 |
+| `bundle.dsse.json`  | the same, signed; only of a signed bundle                                                 |
+| `run/`              | the run directory: certificate, signature, manifest, database, report, trajectories       |
+| `safety-case/`      | the safety case as PDF, SVG and YAML                                                      |
+| `signers/`          | the public keys whose signatures the safety case names; nobody need trust them            |
+"""
+
+import hashlib
+import json
+import shutil
+import sqlite3
+import tempfile
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from pathlib import Path, PurePosixPath
+from typing import IO, Any, get_args
+
+import matplotlib as mpl
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+from ....schemas import __version__
+from ....schemas.amounts import counted
+from ....schemas.errors import one_line
+from ....schemas.result.certificate import STATEMENT_TYPE
+from ...certificate import files
+from ...certificate.signing.keys import load_public
+from ...certificate.signing.sign import MAX_ENVELOPE, sign, signed_payload
+from ...certificate.verify.checks import CHECKS, Check, CheckFailed, Checks, Status
+from ...certificate.verify.manifest import parse_manifest, split_manifest
+from ...certificate.verify.run import Verification, verify_certificate
+from ...certificate.verify.stages import Report
+from ...store.export import whole
+from ...store.files import contents
+from ...store.rows import DATABASE
+from .case import SafetyCase, safety_case
+from .files import case_files
+
+LIST, ENVELOPE = "bundle.json", "bundle.dsse.json"
+RUN, CASE, SIGNERS = "run", "safety-case", "signers"
+PREDICATE_TYPE = "urn:perfbound:bundle:v1"
+OF_RUN = (
+    files.CERTIFICATE,
+    files.ENVELOPE,
+    files.MANIFEST,
+    files.REGIONS,
+    files.ATTEMPTS,
+    files.ATTEMPTS_ENVELOPE,
+    "report.html",
+    "counterexamples.csv",
+)
+MAX_LIST = 2**28
+"""Bytes; a trajectory takes 150 of a list."""
+CHUNK = 2**20
+
+
+def write_bundle(
+    path: Path,
+    directory: Path,
+    case: SafetyCase,
+    lines: Sequence[Check],
+    *,
+    signers: Sequence[Path],
+    trajectories: bool,
+    key: Ed25519PrivateKey | None,
+    report: Report,
+) -> int:
+    """Write the bundle of a verified campaign; return its number of files.
+
+    Raises:
+        EvidenceError: a file cannot be read.
+        PerfboundError: it cannot be written.
+
+    """
+    listed = dict[str, str]()
+    with whole(directory, [path]) as (out,), zipfile.ZipFile(out, "w", allowZip64=True) as bundle:
+        for name in OF_RUN:
+            if (directory / name).is_file():
+                with (directory / name).open("rb") as file:
+                    listed[f"{RUN}/{name}"] = _added(bundle, f"{RUN}/{name}", file)
+        with _database(directory) as file:
+            listed[f"{RUN}/{DATABASE}"] = _added(bundle, f"{RUN}/{DATABASE}", file)
+        paths = _trajectories(directory) if trajectories else []
+        for number, each in enumerate(paths, 1):
+            with (directory / each).open("rb") as file:
+                listed[f"{RUN}/{each}"] = _added(bundle, f"{RUN}/{each}", file)
+            report("trajectories", number, len(paths))
+        for name, data in case_files(case).items():
+            listed[f"{CASE}/{name}"] = _text(bundle, f"{CASE}/{name}", data)
+        for number, signer in enumerate(signers, 1):
+            listed[f"{SIGNERS}/{number}.pub"] = _text(bundle, f"{SIGNERS}/{number}.pub", signer.read_bytes())
+        statement = _statement(case, listed, lines, trajectories=trajectories)
+        _text(bundle, LIST, statement)
+        if key is not None:
+            _text(bundle, ENVELOPE, sign(statement, key))
+    return len(listed)
+
+
+def _statement(case: SafetyCase, listed: Mapping[str, str], lines: Sequence[Check], *, trajectories: bool) -> bytes:
+    statement = {
+        "_type": STATEMENT_TYPE,
+        "subject": [{"name": name, "digest": {"sha256": digest}} for name, digest in sorted(listed.items())],
+        "predicateType": PREDICATE_TYPE,
+        "predicate": {
+            "campaign": case.campaign,
+            "certificate_sha256": case.certificate_sha256,
+            "trajectories": trajectories,
+            "software": {"perfbound": __version__, "matplotlib": mpl.__version__},
+            "checks": [[each.name, each.status, each.detail] for each in lines],
+        },
+    }
+    return (json.dumps(statement, indent=1) + "\n").encode()
+
+
+def _added(bundle: zipfile.ZipFile, name: str, file: IO[bytes]) -> str:
+    """Add a file; return its digest."""
+    # Trajectories are compressed already. No date: it would say nothing.
+    info = zipfile.ZipInfo(name)
+    info.compress_type = zipfile.ZIP_STORED if name.endswith(".mcap") else zipfile.ZIP_DEFLATED
+    info.external_attr = 0o644 << 16
+    digest = hashlib.sha256()
+    with bundle.open(info, "w", force_zip64=True) as entry:
+        while chunk := file.read(CHUNK):
+            digest.update(chunk)
+            entry.write(chunk)
+    return digest.hexdigest()
+
+
+def _text(bundle: zipfile.ZipFile, name: str, data: bytes) -> str:
+    with tempfile.SpooledTemporaryFile(max_size=2**24) as file:
+        file.write(data)
+        file.seek(0)
+        return _added(bundle, name, file)
+
+
+@contextmanager
+def _database(directory: Path) -> Iterator[IO[bytes]]:
+    """Open a copy of the database at one moment, without the files that SQLite keeps beside one."""
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / DATABASE
+        source = f"{(directory / DATABASE).absolute().as_uri()}?mode=ro"
+        with closing(sqlite3.connect(source, uri=True)) as one, closing(sqlite3.connect(copy)) as other:
+            one.backup(other)
+            other.execute("PRAGMA journal_mode=DELETE")
+        with copy.open("rb") as file:
+            yield file
+
+
+def _trajectories(directory: Path) -> list[str]:
+    text = contents(directory / files.MANIFEST, files.MAX_MANIFEST).decode()
+    observed, kept = split_manifest(text)
+    return [*(each.path for each in parse_manifest(observed).values()), *(each.path for _, each in kept)]
+
+
+# Verification
+
+
+def is_bundle(path: Path) -> bool:
+    """Whether a path is a zip file."""
+    return path.is_file() and zipfile.is_zipfile(path)
+
+
+def verify_bundle(path: Path, *, key: Path | None, again: int, report: Report, system: str | None) -> Verification:
+    """Verify a bundle: its list, the certificate and its evidence, and the safety case; as `verify_certificate`.
+
+    Raises:
+        PerfboundError: the key cannot be read, or there is no space to unpack it.
+        Stopped: a signal arrived.
+
+    """
+    checks = Checks()
+    with tempfile.TemporaryDirectory(prefix="perfbound-bundle-") as folder:
+        place = Path(folder)
+        try:
+            with checks.making("bundle"):
+                predicate = _unpacked(path, place, key, checks, report)
+        except CheckFailed as failed:
+            checks.failed(failed.name, str(failed))
+            return Verification(checks, None, None)
+        whole_run = predicate.get("trajectories") is True
+        found = verify_certificate(
+            place / RUN,
+            key=key,
+            again=again if whole_run else 0,
+            report=report,
+            system=system,
+            trajectories=whole_run,
+        )
+        found.checks.found.update(checks.found)
+        if found.checks.good:
+            try:
+                with found.checks.making("documents"):
+                    _documents(place, found, predicate)
+            except CheckFailed as failed:
+                found.checks.failed(failed.name, str(failed))
+    return found
+
+
+def _unpacked(path: Path, place: Path, key: Path | None, checks: Checks, report: Report) -> dict[str, Any]:
+    """Unpack a bundle into an empty folder, as far as it is what its list says; return what its list says of it."""
+    with zipfile.ZipFile(path) as bundle:
+        entries = bundle.infolist()
+        names = [each.filename for each in entries]
+        if len(set(names)) < len(names):
+            raise CheckFailed("bundle", "a file is there twice")
+        if LIST not in names:
+            raise CheckFailed("bundle", f"it has no {LIST}: it is no bundle of perfbound")
+        statement = _read(bundle, LIST, MAX_LIST)
+        if key is not None:
+            _check_signature(bundle, names, statement, key)
+        listed, predicate = _parsed(statement)
+        others = [name for name in names if name not in (LIST, ENVELOPE)]
+        if missing := sorted(listed.keys() - set(others)):
+            raise CheckFailed("bundle", f"{one_line(missing[0])} is missing ({len(missing):,} in all)")
+        if more := sorted(set(others) - listed.keys()):
+            raise CheckFailed("bundle", f"{one_line(more[0])} is not in its list ({len(more):,} in all)")
+        size, free = sum(each.file_size for each in entries), shutil.disk_usage(place).free
+        if size > free:
+            raise CheckFailed("bundle", f"its files take {size:,} bytes, and {free:,} are free in {place.parent}")
+        for number, each in enumerate((each for each in entries if each.filename in listed), 1):
+            _unpack(bundle, each, place, listed[each.filename])
+            report("bundle", number, len(listed))
+    words = "its list is signed" if key is not None else "its list is not checked against a signature: give --key"
+    checks.passed("bundle", f"{counted(len(listed), 'file')}; {words}")
+    return predicate
+
+
+def _check_signature(bundle: zipfile.ZipFile, names: Sequence[str], statement: bytes, key: Path) -> None:
+    public = load_public(key)
+    if ENVELOPE not in names:
+        raise CheckFailed("bundle", "its list is not signed; who signs exports it with --sign KEY")
+    if signed_payload(_read(bundle, ENVELOPE, MAX_ENVELOPE), public) != statement:
+        raise CheckFailed("bundle", f"{LIST} is not the signed list")
+
+
+def _read(bundle: zipfile.ZipFile, name: str, most: int) -> bytes:
+    with bundle.open(name) as file:
+        data = file.read(most + 1)
+    if len(data) > most:
+        raise CheckFailed("bundle", f"{name} has more than {most:,} bytes")
+    return data
+
+
+def _parsed(statement: bytes) -> tuple[dict[str, str], dict[str, Any]]:
+    """Return the digests of the files by their names, and the predicate."""
+    found = json.loads(statement)
+    if found["_type"] != STATEMENT_TYPE or found["predicateType"] != PREDICATE_TYPE:
+        raise CheckFailed("bundle", f"{LIST} is no list of a bundle")
+    listed = {str(each["name"]): str(each["digest"]["sha256"]) for each in found["subject"]}
+    for name in listed:
+        parts = PurePosixPath(name).parts
+        # Nothing is written outside of the folder, whatever the names are.
+        if (
+            name != "/".join(parts)
+            or not parts
+            or parts[0] not in (RUN, CASE, SIGNERS)
+            or ".." in parts
+            or "\\" in name
+        ):
+            raise CheckFailed("bundle", f"{one_line(name)!r} is no path of a bundle")
+    predicate: dict[str, Any] = dict(found["predicate"])
+    return listed, predicate
+
+
+def _unpack(bundle: zipfile.ZipFile, entry: zipfile.ZipInfo, place: Path, digest: str) -> None:
+    target, found, size = place / entry.filename, hashlib.sha256(), 0
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with bundle.open(entry) as file, target.open("xb") as out:
+        while chunk := file.read(CHUNK):
+            size += len(chunk)
+            if size > entry.file_size:
+                raise CheckFailed("bundle", f"{one_line(entry.filename)} is longer than it says")
+            found.update(chunk)
+            out.write(chunk)
+    if found.hexdigest() != digest:
+        raise CheckFailed("bundle", f"{one_line(entry.filename)} has another digest than in the list: it was changed")
+
+
+def _documents(place: Path, found: Verification, predicate: Mapping[str, Any]) -> None:
+    """Compare the safety case with the one that follows from the certificate."""
+    made = dict(predicate.get("software", {}))
+    here = {"perfbound": __version__, "matplotlib": mpl.__version__}
+    if made != here:
+        theirs = ", ".join(f"{one_line(str(name))} {one_line(str(version))}" for name, version in made.items())
+        found.checks.skipped("documents", f"it was made by {theirs[:200]}, and here are other versions")
+        return
+    assert found.certificate is not None, "its check passed"
+    # That verification was made by who exported it; this one is the table above.
+    lines = [Check(str(name), status, str(detail)) for name, status, detail in predicate["checks"]]
+    if {each.name for each in lines} - CHECKS.keys() or any(each.status not in get_args(Status) for each in lines):
+        raise CheckFailed("documents", "its list names checks that do not exist")
+    case = safety_case(place / RUN, sorted((place / SIGNERS).glob("*.pub")), found.certificate, lines)
+    for name, data in case_files(case).items():
+        path = place / CASE / name
+        if not path.is_file() or path.read_bytes() != data:
+            raise CheckFailed("documents", f"{name} is not the one that follows from the certificate")
+    found.checks.passed("documents", f"{case.verdict}; the report is the one of the list, and was not made again")

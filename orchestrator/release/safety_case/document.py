@@ -1,0 +1,209 @@
+"""A safety case as a document of at most four pages: claim, what it rests on, what was not checked, who signed."""
+
+import io
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.backends.backend_pdf import PdfPages
+from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties, findfont, get_font
+
+from ...report.style import GREEN, GREY, RED
+from .argument import argument
+from .case import Named, SafetyCase
+from .drawing import FONT, drawing
+
+MOST_PAGES = 4
+WIDTH, HEIGHT = 8.27, 11.69
+"""Inches of a page: A4."""
+MARGIN = 0.8
+NAMES = 1.3
+"""Inches of the first column of a table."""
+STYLE: dict[Any, Any] = {
+    # Text stays text, which readers can search and copy.
+    "pdf.fonttype": 42,
+    # Equal documents are equal bytes on all machines, whatever library compresses there.
+    "pdf.compression": 0,
+    "font.family": FONT,
+}
+AMBER = "#8a5a00"
+COLOURS = {"SHOWN": GREEN, "VIOLATED": RED, "NOT SHOWN": AMBER, "refuted": RED, "derived": GREEN}
+STATUSES = ("refuted", "assumed", "not refuted", "derived")
+SMALLER = (
+    (9.0, True, 1000),
+    (8.0, True, 1000),
+    (7.0, True, 1000),
+    (7.0, False, 1000),
+    (7.0, False, 40),
+    (7.0, False, 12),
+)
+"""Size of the text, whether assumptions have their details, and most rows of a table, until it is short enough."""
+
+
+Part = tuple[float, str, dict[str, Any]]
+"""Place, text and style of a text in a line."""
+
+
+@dataclass(slots=True)
+class _Flow:
+    """Lines that fill pages from above."""
+
+    size: float
+    pages: list[Figure] = field(default_factory=list)
+    _y: float = 0.0
+
+    def line(self, parts: Sequence[Part], lines: float = 1.0) -> None:
+        """Put texts at their places (inches from the margin) into one line; on a new page where this one is full."""
+        step = self.size * 1.36 / 72.0 * lines
+        if not self.pages or self._y + step > HEIGHT - MARGIN:
+            self.pages.append(Figure(figsize=(WIDTH, HEIGHT)))
+            self._y = MARGIN
+        self._y += step
+        for x, text, style in parts:
+            options = {"fontsize": self.size, "va": "baseline", **style}
+            shown = text.replace("$", r"\$")
+            self.pages[-1].text((MARGIN + x) / WIDTH, 1.0 - self._y / HEIGHT, shown, **options)
+
+    def space(self, lines: float) -> None:
+        """Leave so many lines empty, unless the page is."""
+        self._y += self.size * 1.36 / 72.0 * lines
+
+    def heading(self, text: str) -> None:
+        """Put a heading, with the next three lines on its page."""
+        step = self.size * 1.36 / 72.0
+        if self._y + 5 * step > HEIGHT - MARGIN:
+            self._y = HEIGHT
+        self.space(0.9)
+        self.line([(0.0, text, {"weight": "bold", "fontsize": self.size * 1.25})], 1.3)
+        self.space(0.2)
+
+    def paragraph(self, text: str, indent: float = 0.0, **style: Any) -> None:
+        """Put a text in as many lines as it takes."""
+        for each in wrapped(text, self.size, WIDTH - 2 * MARGIN - indent, bold=style.get("weight") == "bold"):
+            self.line([(indent, each, style)])
+
+    def row(self, name: str, text: str, **style: Any) -> None:
+        """Put a name in front of a text."""
+        names = wrapped(name, self.size, NAMES - 0.1)
+        texts = wrapped(text, self.size, WIDTH - 2 * MARGIN - NAMES)
+        for k in range(max(len(names), len(texts))):
+            parts: list[Part] = [(0.0, names[k], {"color": GREY})] if k < len(names) else []
+            parts += [(NAMES, texts[k], style)] if k < len(texts) else []
+            self.line(parts)
+
+
+def to_pdf(case: SafetyCase) -> bytes:
+    """Return the document of a safety case; equal cases give equal bytes.
+
+    What does not fit on the pages is shortened, the details of assumptions first: the certificate has all.
+    """
+    with mpl.rc_context(STYLE), warnings.catch_warnings():
+        # A letter that the font has not is drawn as a box.
+        warnings.filterwarnings("ignore", message="Glyph")
+        flows = (_pages(case, size, most, details=details) for size, details, most in SMALLER)
+        pages = next((each for each in flows if len(each) < MOST_PAGES), None) or _pages(case, 6.0, 5, details=False)
+        pages = [*pages[: MOST_PAGES - 1], drawing(argument(case), f"Argument: {case.campaign}")]
+        for number, page in enumerate(pages, 1):
+            foot = f"{case.campaign}, certificate {case.certificate_sha256[:16]}..., page {number} of {len(pages)}"
+            page.text(0.5, 0.035 if number < len(pages) else 0.01, foot, fontsize=7, color=GREY, ha="center")
+        out = io.BytesIO()
+        about = {"Title": f"Safety case of {case.campaign}", "CreationDate": None, "Producer": None, "Creator": None}
+        with PdfPages(out, metadata=about) as file:
+            for page in pages:
+                file.savefig(page)
+    return out.getvalue()
+
+
+def _pages(case: SafetyCase, size: float, most: int, *, details: bool) -> list[Figure]:
+    flow = _Flow(size)
+    flow.line([(0.0, f"Safety case of the campaign {case.campaign}", {"weight": "bold", "fontsize": 15})], 2.2)
+    flow.paragraph(case.answer, weight="bold", color=AMBER if "rests on" in case.answer else COLOURS[case.verdict])
+    flow.space(0.3)
+    flow.paragraph(
+        "The margin, or robustness, of a simulated run is by how much it meets its specification: below 0 it violates "
+        "it. Every number here is that of the certificate, rounded to the safe side."
+    )
+    flow.heading("1  What is claimed")
+    if case.question:
+        flow.row("required", case.question)
+    for number, each in enumerate(case.claims[:most], 1):
+        flow.row(f"claim {number}", f"{each.sentence}.", color=RED if each.refuted else "black")
+        for note in each.notes[: most if details else 1]:
+            flow.row("", note)
+    _more(flow, len(case.claims), most)
+    _table(flow, case.requirements, most)
+    _table(flow, case.system, most)
+    flow.heading("2  Where it holds: the operational design domain")
+    _table(flow, case.domain, most)
+    flow.heading("3  What it rests on, and who must judge it")
+    flow.paragraph(
+        "Refuted: the data contradict it. Assumed: no data of the campaign test it. Not refuted: the data test it, and "
+        "do not contradict it. Derived: it follows from the method."
+    )
+    for status in STATUSES:
+        for found in case.with_status(status)[:most]:
+            judge = "" if status == "derived" else f" To be judged by {found.judge}."
+            flow.row(status, f"{found.title} ({found.id}).{judge}", color=COLOURS.get(status, "black"))
+            if details:
+                flow.row("", f"{found.detail[:1].upper()}{found.detail[1:]}".rstrip(".") + ".", color=GREY)
+        _more(flow, len(case.with_status(status)), most)
+    flow.heading("4  What was checked")
+    for text in case.checks[:most]:
+        flow.paragraph(text)
+    flow.paragraph(f"{case.verification}.")
+    flow.heading("5  What was not checked, and is not claimed")
+    for text in case.unchecked:
+        flow.row("", text)
+    flow.heading("6  Evidence and signature")
+    flow.paragraph("Digests are SHA-256; that of the certificate names all others.")
+    _table(flow, case.evidence, most)
+    for text in case.signatures[:most]:
+        flow.paragraph(text, weight="bold")
+    flow.heading("7  Words")
+    _table(flow, case.words, most)
+    return flow.pages
+
+
+def _table(flow: _Flow, rows: Sequence[Named], most: int) -> None:
+    for each in rows[:most]:
+        flow.row(each.name, each.text)
+    _more(flow, len(rows), most)
+
+
+def _more(flow: _Flow, number: int, most: int) -> None:
+    if number > most:
+        flow.row("", f"and {number - most:,} more, which the certificate has")
+
+
+def wrapped(text: str, size: float, width: float, *, bold: bool = False) -> list[str]:
+    """Return a text in lines that are no wider than `width` inches; a longer word is cut."""
+    lines, line = list[str](), ""
+    for word in text.split():
+        for part in _cut(word, size, width, bold=bold):
+            longer = f"{line} {part}" if line else part
+            if line and _inches(longer, size, bold=bold) > width:
+                lines.append(line)
+                line = part
+            else:
+                line = longer
+    return [*lines, line]
+
+
+def _cut(word: str, size: float, width: float, *, bold: bool) -> Iterator[str]:
+    while len(word) > 1 and _inches(word, size, bold=bold) > width:
+        fits = max(int(len(word) * width / _inches(word, size, bold=bold)), 1)
+        yield word[:fits]
+        word = word[fits:]
+    yield word
+
+
+@lru_cache(maxsize=50_000)
+def _inches(text: str, size: float, *, bold: bool) -> float:
+    font = get_font(findfont(FontProperties(family=FONT, weight="bold" if bold else "normal")))
+    font.set_size(size, 72)
+    font.set_text(text, 0.0)
+    return float(font.get_width_height()[0]) / 64.0 / 72.0

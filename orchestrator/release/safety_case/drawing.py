@@ -1,0 +1,204 @@
+"""The argument of a safety case as a drawing: goals, strategies, solutions and contexts in their usual shapes."""
+
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse, FancyArrowPatch, FancyBboxPatch, Polygon, Rectangle
+
+from ...report.style import BLUE, GREY, RED
+from .argument import Element, Kind
+
+WIDTH = 18.0
+"""Inches of a drawing, before a page scales it."""
+LETTERS = 0.077
+"""Inches of a letter, on average, at `SIZE`."""
+SIZE, LINE = 8.0, 0.155
+"""Points of the text, and inches from line to line."""
+PAD, GAP, LEVEL = 0.14, 0.22, 0.42
+"""Inches inside a box, between two boxes, and between two levels."""
+FONT = "DejaVu Sans"
+THIN, THICK = 0.9, 1.6
+"""Points of a line, and of one around what is refuted."""
+FILL: dict[Kind, str] = {
+    "G": "#eef4fb",
+    "S": "#f3f0fa",
+    "Sn": "#edf7f1",
+    "C": "#f6f6f6",
+    "A": "#fdf6e7",
+    "J": "#f6f6f6",
+}
+LEFT = 10.4
+"""Inches of the argument; assumptions are on its right."""
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """An element with its place: the middle of its upper edge, in inches from the upper left corner."""
+
+    element: Element
+    lines: tuple[str, ...]
+    x: float
+    y: float
+    width: float
+    height: float
+
+    @property
+    def bottom(self) -> float:
+        """The lower edge."""
+        return self.y + self.height
+
+
+def drawing(elements: Sequence[Element], title: str) -> Figure:
+    """Return the drawing of an argument, as high as it has to be."""
+    boxes = {box.element.id: box for box in _placed(elements)}
+    height = max(box.bottom for box in boxes.values()) + PAD
+    figure = Figure(figsize=(WIDTH, height), layout=None)
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set(xlim=(0.0, WIDTH), ylim=(height, 0.0))
+    axes.set_axis_off()
+    axes.text(PAD, 2.2 * PAD, title, fontsize=SIZE + 4, fontfamily=FONT, va="center", weight="bold")
+    for each in elements:
+        for other in each.supported_by:
+            _arrow(axes, boxes[each.id], boxes[other], filled=True)
+        for other in each.in_context_of:
+            if boxes[other].element.kind != "A":
+                _arrow(axes, boxes[each.id], boxes[other], filled=False)
+    for box in boxes.values():
+        _draw(axes, box)
+    _around(axes, boxes)
+    return figure
+
+
+def _placed(elements: Sequence[Element]) -> Iterator[Box]:
+    """Yield the elements with their places: contexts beside the goal, assumptions on the right of all below it."""
+    known = {each.id: each for each in elements}
+    goal, strategy = known["G1"], known["S1"]
+    contexts = [known[name] for name in goal.in_context_of]
+    row = [contexts[0], goal, *contexts[1:]]
+    shares = [1.0, 1.4, *(1.0 for _ in contexts[1:])]
+    yield from _row(row, shares, 4 * PAD, WIDTH)
+    top = 4 * PAD + _height(row, shares, WIDTH) + LEVEL
+    assumed = [known[name] for name in strategy.in_context_of if name.startswith("A")]
+    below, left = top, LEFT if assumed else WIDTH
+    half = (WIDTH - LEFT - 3 * GAP) / 2
+    for first in range(0, len(assumed), 2):
+        pair = [
+            _box(each, LEFT + GAP + half / 2 + k * (half + GAP), below, half)
+            for k, each in enumerate(assumed[first : first + 2])
+        ]
+        yield from pair
+        below = max(box.bottom for box in pair) + PAD
+    row = [*(known[name] for name in strategy.in_context_of if name.startswith("J")), strategy]
+    shares = [1.0, 1.4]
+    yield from _row(row, shares, top, left)
+    below = top + _height(row, shares, left) + LEVEL
+    goals = [known[name] for name in strategy.supported_by]
+    shares = [1.0] * len(goals)
+    yield from _row(goals, shares, below, left)
+    solutions = below + _height(goals, shares, left) + LEVEL
+    for box in _row(goals, shares, below, left):
+        for name in box.element.supported_by:
+            yield _box(known[name], box.x, solutions, box.width)
+
+
+def _row(row: Sequence[Element], shares: Sequence[float], y: float, width: float) -> Iterator[Box]:
+    """Yield elements side by side over a width, as wide as their shares."""
+    left = GAP
+    for each, own in zip(row, _widths(shares, width), strict=True):
+        yield _box(each, left + own / 2, y, own)
+        left += own + GAP
+
+
+def _widths(shares: Sequence[float], width: float) -> list[float]:
+    whole = width - GAP * (len(shares) + 1)
+    return [whole * share / sum(shares) for share in shares]
+
+
+def _height(row: Sequence[Element], shares: Sequence[float], width: float) -> float:
+    return max(box.height for box in _row(row, shares, 0.0, width))
+
+
+def _box(element: Element, x: float, y: float, width: float) -> Box:
+    # Of an ellipse the corners are no place for text, of a parallelogram its ends are none.
+    room = width * (0.72 if element.kind in ("Sn", "A", "J") else 0.86) - 2 * PAD
+    head, *rest = f"{element.id}  {element.text}".split("\n")
+    lines = [
+        line
+        for part in (head, *rest)
+        for line in textwrap.wrap(part, max(int(room / LETTERS), 12), break_long_words=False)
+    ]
+    height = LINE * len(lines) * (1.35 if element.kind in ("Sn", "A", "J") else 1.0) + 3 * PAD
+    return Box(element, tuple(lines), x, y, width, height)
+
+
+def _draw(axes: Axes, box: Box) -> None:
+    x, y, w, h, kind = box.x, box.y, box.width, box.height, box.element.kind
+    edge = RED if box.element.refuted else GREY
+    style: dict[str, Any] = {
+        "facecolor": FILL[kind],
+        "edgecolor": edge,
+        "linewidth": 1.6 if box.element.refuted else 0.9,
+        "zorder": 3,
+    }
+    middle = y + h / 2
+    if kind in ("Sn", "A", "J"):
+        axes.add_patch(Ellipse((x, middle), w, h, **style))
+    elif kind == "S":
+        slant = 0.05 * w
+        left, right = x - w / 2, x + w / 2
+        axes.add_patch(Polygon([(left + slant, y), (right, y), (right - slant, y + h), (left, y + h)], **style))
+    else:
+        rounding = 0.16 if kind == "C" else 0.001
+        corner = x - w / 2 + rounding, y + rounding
+        shape = f"round,pad={rounding},rounding_size={rounding}"
+        axes.add_patch(FancyBboxPatch(corner, w - 2 * rounding, h - 2 * rounding, boxstyle=shape, **style))
+    if kind in ("A", "J"):
+        axes.text(x + w / 2 - 0.1, y + h - 0.05, kind, fontsize=SIZE, fontfamily=FONT, ha="right", weight="bold")
+    if box.element.undeveloped:
+        below = y + h
+        axes.add_patch(Polygon([(x, below), (x + 0.1, below + 0.1), (x, below + 0.2), (x - 0.1, below + 0.1)], **style))
+    text = "\n".join(each.replace("$", r"\$") for each in box.lines)
+    colour = RED if box.element.refuted else "black"
+    axes.text(
+        x,
+        middle,
+        text,
+        fontsize=SIZE,
+        fontfamily=FONT,
+        ha="center",
+        va="center",
+        color=colour,
+        zorder=4,
+        linespacing=1.3,
+    )
+
+
+def _arrow(axes: Axes, one: Box, other: Box, *, filled: bool) -> None:
+    if filled or other.y >= one.bottom:
+        start, end = (one.x, one.bottom), (other.x, other.y)
+    else:
+        side = 1 if other.x > one.x else -1
+        middle = min(one.y + one.height / 2, other.bottom - PAD)
+        start, end = (one.x + side * one.width / 2, middle), (other.x - side * other.width / 2, middle)
+    head = "-|>" if filled else "->"
+    axes.add_patch(
+        FancyArrowPatch(start, end, arrowstyle=head, mutation_scale=11, color=GREY, linewidth=THIN, zorder=2, shrinkA=0)
+    )
+
+
+def _around(axes: Axes, boxes: Mapping[str, Box]) -> None:
+    """Draw a frame around the assumptions, with one arrow from their strategy."""
+    inside = [box for box in boxes.values() if box.element.kind == "A"]
+    if not inside:
+        return
+    y, bottom = min(box.y for box in inside) - PAD, max(box.bottom for box in inside) + PAD
+    dashed: dict[str, Any] = {"edgecolor": BLUE, "linestyle": (0, (4, 3)), "linewidth": THIN, "zorder": 1}
+    axes.add_patch(Rectangle((LEFT, y), WIDTH - LEFT - GAP / 2, bottom - y, facecolor="none", **dashed))
+    strategy = boxes["S1"]
+    start = strategy.x + strategy.width / 2, strategy.y + strategy.height / 2
+    end = LEFT, start[1]
+    axes.add_patch(FancyArrowPatch(start, end, arrowstyle="->", mutation_scale=11, color=BLUE, linewidth=THIN))
