@@ -107,10 +107,10 @@ def _tests_made(case: SafetyCase) -> str:
 
 
 def _tested(case: SafetyCase) -> str:
+    ids = ", ".join(each.id for each in case.with_status("not refuted")) or "none"
     if refuted := case.with_status("refuted"):
-        return f"REFUTED by the data: {', '.join(each.id for each in refuted)}"
-    ids = [each.id for each in case.with_status("not refuted")]
-    return f"No assumption that data can test is refuted: {', '.join(ids) or 'there is none'}"
+        return f"REFUTED by the data: {', '.join(each.id for each in refuted)}. Not refuted: {ids}"
+    return f"No assumption that data can test is refuted: {ids}"
 
 
 def to_yaml(elements: tuple[Element, ...]) -> str:

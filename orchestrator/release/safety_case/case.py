@@ -22,7 +22,7 @@ from ...certificate.signing.sign import claimed_signers, unsigned
 from ...certificate.verify.checks import ABSENT, OF_BUNDLE, Check
 from ...certificate.verify.manifest import sha256_of
 from ...certificate.words.bound_text import in_unit
-from ...certificate.words.known_text import verdict_lines, verdict_words
+from ...certificate.words.known_text import verdict_words, violation_words
 from ...certificate.words.refutation_text import refutation_sentence
 from ...certificate.words.text import check_sentences, claim_heading, notes, nothing_shown
 from ...report.collect.wording import counterexample_sentences, question_words, typeset
@@ -73,7 +73,6 @@ class SafetyCase:
     verdict: VerdictWord
     answer: str
     """The verdict with its first reason."""
-    verdict_lines: tuple[str, ...]
     question: str
     """What the campaign file requires; empty where it requires nothing."""
     requirements: tuple[Named, ...]
@@ -83,7 +82,7 @@ class SafetyCase:
     claims: tuple[ClaimText, ...]
     assumptions: tuple[AssumptionText, ...]
     checks: tuple[str, ...]
-    """What fresh starts and repeated rollouts showed, and the counterexample if there is one."""
+    """What the rollouts showed, those at fresh starts and the repeated ones, and the counterexample if there is one."""
     unchecked: tuple[str, ...]
     evidence: tuple[Named, ...]
     words: tuple[Named, ...]
@@ -122,9 +121,6 @@ def safety_case(directory: Path, keys: Sequence[Path], certificate: Certificate,
         certificate_sha256=sha256,
         verdict=campaign.verdict.verdict,
         answer=_answer(campaign.verdict),
-        verdict_lines=tuple(
-            typeset(one_line(each).removeprefix("VERDICT  ")) for each in verdict_lines(campaign.verdict)
-        ),
         question=typeset(question_words(header, predicate.claims[0].quantity, predicate.claims[0].starts)),
         requirements=tuple(_requirements(header)),
         system=tuple(_system(header, system_revision(directory))),
@@ -134,7 +130,7 @@ def safety_case(directory: Path, keys: Sequence[Path], certificate: Certificate,
             for k, each in enumerate(predicate.claims)
         ),
         assumptions=tuple(map(_assumption, predicate.assumptions)),
-        checks=tuple(_checks(header, predicate)),
+        checks=tuple(_checks(header, campaign.verdict, predicate)),
         unchecked=tuple(_unchecked(header, predicate, lines, signed=bool(signed))),
         evidence=tuple(_evidence(header, predicate, sha256)),
         words=(),
@@ -182,7 +178,7 @@ def _requirements(header: Header) -> Iterator[Named]:
     for each in config.specifications:
         name = each.name if each.id is None else f"{each.id} ({each.name})"
         words = "; ".join(filter(None, (each.text, each.link)))
-        yield Named(one_line(name), typeset(one_line(f"{each.formula}{f' - {words}' if words else ''}")))
+        yield Named(one_line(name), typeset(one_line(f"{each.formula}{f'; in words: {words}' if words else ''}")))
 
 
 def _system(header: Header, revision: str | None) -> Iterator[Named]:
@@ -258,7 +254,10 @@ def _assumption(found: Assumption) -> AssumptionText:
     )
 
 
-def _checks(header: Header, predicate: Predicate) -> Iterator[str]:
+def _checks(header: Header, verdict: CampaignVerdict, predicate: Predicate) -> Iterator[str]:
+    yield from (typeset(one_line(each)) for each in verdict.reasons if verdict.verdict != "SHOWN")
+    if count := violation_words(verdict):
+        yield typeset(one_line(count))
     units = {each.name: each.unit for each in header.spec.parameters}
     if predicate.counterexample is not None:
         yield from map(one_line, counterexample_sentences(predicate.counterexample, header))

@@ -1,7 +1,6 @@
 """A safety case as a document of at most four pages: claim, what it rests on, what was not checked, who signed."""
 
 import io
-import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -15,7 +14,7 @@ from matplotlib.font_manager import FontProperties, findfont, get_font
 from ...report.style import GREEN, GREY, RED
 from .argument import argument
 from .case import Named, SafetyCase
-from .drawing import FONT, drawing
+from .drawing import FONT, drawing, missing_letters
 
 MOST_PAGES = 4
 WIDTH, HEIGHT = 8.27, 11.69
@@ -33,15 +32,32 @@ STYLE: dict[Any, Any] = {
 AMBER = "#8a5a00"
 COLOURS = {"SHOWN": GREEN, "VIOLATED": RED, "NOT SHOWN": AMBER, "refuted": RED, "derived": GREEN}
 STATUSES = ("refuted", "assumed", "not refuted", "derived")
-SMALLER = (
-    (9.0, True, 1000),
-    (8.0, True, 1000),
-    (7.0, True, 1000),
-    (7.0, False, 1000),
-    (7.0, False, 40),
-    (7.0, False, 12),
+
+
+@dataclass(frozen=True, slots=True)
+class _Form:
+    """How much a page has."""
+
+    size: float
+    """Of the text, in points."""
+    details: bool = True
+    """Whether assumptions have theirs."""
+    most: int = 1000
+    """Rows of a table."""
+    letters: int = 20_000
+    """Of one text."""
+
+
+FORMS = (
+    _Form(9.0),
+    _Form(8.0),
+    _Form(7.0),
+    _Form(7.0, details=False),
+    _Form(7.0, details=False, most=40, letters=800),
+    _Form(7.0, details=False, most=12, letters=400),
+    _Form(6.0, details=False, most=5, letters=200),
 )
-"""Size of the text, whether assumptions have their details, and most rows of a table, until it is short enough."""
+"""The first one whose pages are few enough is taken; the certificate has what the others leave out."""
 
 
 Part = tuple[float, str, dict[str, Any]]
@@ -53,6 +69,8 @@ class _Flow:
     """Lines that fill pages from above."""
 
     size: float
+    letters: int
+    """Of one text; a longer one is cut."""
     pages: list[Figure] = field(default_factory=list)
     _y: float = 0.0
 
@@ -81,15 +99,20 @@ class _Flow:
         self.line([(0.0, text, {"weight": "bold", "fontsize": self.size * 1.25})], 1.3)
         self.space(0.2)
 
+    def _cut(self, text: str) -> str:
+        return text if len(text) <= self.letters else f"{text[: self.letters]}... (cut)"
+
     def paragraph(self, text: str, indent: float = 0.0, **style: Any) -> None:
         """Put a text in as many lines as it takes."""
-        for each in wrapped(text, self.size, WIDTH - 2 * MARGIN - indent, bold=style.get("weight") == "bold"):
+        for each in wrapped(
+            self._cut(text), self.size, WIDTH - 2 * MARGIN - indent, bold=style.get("weight") == "bold"
+        ):
             self.line([(indent, each, style)])
 
     def row(self, name: str, text: str, **style: Any) -> None:
         """Put a name in front of a text."""
-        names = wrapped(name, self.size, NAMES - 0.1)
-        texts = wrapped(text, self.size, WIDTH - 2 * MARGIN - NAMES)
+        names = wrapped(self._cut(name), self.size, NAMES - 0.1)
+        texts = wrapped(self._cut(text), self.size, WIDTH - 2 * MARGIN - NAMES)
         for k in range(max(len(names), len(texts))):
             parts: list[Part] = [(0.0, names[k], {"color": GREY})] if k < len(names) else []
             parts += [(NAMES, texts[k], style)] if k < len(texts) else []
@@ -101,15 +124,11 @@ def to_pdf(case: SafetyCase) -> bytes:
 
     What does not fit on the pages is shortened, the details of assumptions first: the certificate has all.
     """
-    with mpl.rc_context(STYLE), warnings.catch_warnings():
-        # A letter that the font has not is drawn as a box.
-        warnings.filterwarnings("ignore", message="Glyph")
-        flows = (_pages(case, size, most, details=details) for size, details, most in SMALLER)
-        pages = next((each for each in flows if len(each) < MOST_PAGES), None) or _pages(case, 6.0, 5, details=False)
-        pages = [*pages[: MOST_PAGES - 1], drawing(argument(case), f"Argument: {case.campaign}")]
+    with mpl.rc_context(STYLE), missing_letters():
+        pages = [*text_pages(case), drawing(argument(case), f"Argument: {case.campaign}")]
         for number, page in enumerate(pages, 1):
             foot = f"{case.campaign}, certificate {case.certificate_sha256[:16]}..., page {number} of {len(pages)}"
-            page.text(0.5, 0.035 if number < len(pages) else 0.01, foot, fontsize=7, color=GREY, ha="center")
+            page.text(0.02, 0.03 if number < len(pages) else 0.012, foot, fontsize=7, color=GREY)
         out = io.BytesIO()
         about = {"Title": f"Safety case of {case.campaign}", "CreationDate": None, "Producer": None, "Creator": None}
         with PdfPages(out, metadata=about) as file:
@@ -118,8 +137,16 @@ def to_pdf(case: SafetyCase) -> bytes:
     return out.getvalue()
 
 
-def _pages(case: SafetyCase, size: float, most: int, *, details: bool) -> list[Figure]:
-    flow = _Flow(size)
+def text_pages(case: SafetyCase) -> list[Figure]:
+    """Return the pages before the drawing, in the largest type in which they are few enough."""
+    with missing_letters():
+        flows = (_pages(case, form) for form in FORMS)
+        found = next((each for each in flows if len(each) < MOST_PAGES), None)
+        return found or _pages(case, FORMS[-1])[: MOST_PAGES - 1]
+
+
+def _pages(case: SafetyCase, form: _Form) -> list[Figure]:
+    flow, most, details = _Flow(form.size, form.letters), form.most, form.details
     flow.line([(0.0, f"Safety case of the campaign {case.campaign}", {"weight": "bold", "fontsize": 15})], 2.2)
     flow.paragraph(case.answer, weight="bold", color=AMBER if "rests on" in case.answer else COLOURS[case.verdict])
     flow.space(0.3)
@@ -131,7 +158,7 @@ def _pages(case: SafetyCase, size: float, most: int, *, details: bool) -> list[F
     if case.question:
         flow.row("required", case.question)
     for number, each in enumerate(case.claims[:most], 1):
-        flow.row(f"claim {number}", f"{each.sentence}.", color=RED if each.refuted else "black")
+        flow.row(f"claim {number}", sentence(each.sentence), color=RED if each.refuted else "black")
         for note in each.notes[: most if details else 1]:
             flow.row("", note)
     _more(flow, len(case.claims), most)
@@ -149,14 +176,14 @@ def _pages(case: SafetyCase, size: float, most: int, *, details: bool) -> list[F
             judge = "" if status == "derived" else f" To be judged by {found.judge}."
             flow.row(status, f"{found.title} ({found.id}).{judge}", color=COLOURS.get(status, "black"))
             if details:
-                flow.row("", f"{found.detail[:1].upper()}{found.detail[1:]}".rstrip(".") + ".", color=GREY)
+                flow.row("", sentence(found.detail), color=GREY)
         _more(flow, len(case.with_status(status)), most)
     flow.heading("4  What was checked")
     for text in case.checks[:most]:
         flow.paragraph(text)
     flow.paragraph(f"{case.verification}.")
     flow.heading("5  What was not checked, and is not claimed")
-    for text in case.unchecked:
+    for text in case.unchecked[: max(most, 20)]:
         flow.row("", text)
     flow.heading("6  Evidence and signature")
     flow.paragraph("Digests are SHA-256; that of the certificate names all others.")
@@ -166,6 +193,15 @@ def _pages(case: SafetyCase, size: float, most: int, *, details: bool) -> list[F
     flow.heading("7  Words")
     _table(flow, case.words, most)
     return flow.pages
+
+
+def sentence(text: str) -> str:
+    """Return a text with a capital at its beginning and a full stop at its end.
+
+    >>> sentence("the bound contains both"), sentence("Do not rely on it.")
+    ('The bound contains both.', 'Do not rely on it.')
+    """
+    return f"{text[:1].upper()}{text[1:]}".removesuffix(".") + "."
 
 
 def _table(flow: _Flow, rows: Sequence[Named], most: int) -> None:
@@ -181,16 +217,22 @@ def _more(flow: _Flow, number: int, most: int) -> None:
 
 def wrapped(text: str, size: float, width: float, *, bold: bool = False) -> list[str]:
     """Return a text in lines that are no wider than `width` inches; a longer word is cut."""
-    lines, line = list[str](), ""
+    lines, line, filled, blank = (
+        list[str](),
+        list[str](),
+        0.0,
+        _inches("a a", size, bold=bold) - _inches("aa", size, bold=bold),
+    )
     for word in text.split():
         for part in _cut(word, size, width, bold=bold):
-            longer = f"{line} {part}" if line else part
-            if line and _inches(longer, size, bold=bold) > width:
-                lines.append(line)
-                line = part
+            needed = _inches(part, size, bold=bold)
+            if line and filled + blank + needed > width:
+                lines.append(" ".join(line))
+                line, filled = [part], needed
             else:
-                line = longer
-    return [*lines, line]
+                filled += needed + (blank if line else 0.0)
+                line.append(part)
+    return [*lines, " ".join(line)]
 
 
 def _cut(word: str, size: float, width: float, *, bold: bool) -> Iterator[str]:

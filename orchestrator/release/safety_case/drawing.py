@@ -1,7 +1,9 @@
 """The argument of a safety case as a drawing: goals, strategies, solutions and contexts in their usual shapes."""
 
 import textwrap
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -52,10 +54,18 @@ class Box:
         return self.y + self.height
 
 
+@contextmanager
+def missing_letters() -> Iterator[None]:
+    """Draw a letter that the font has not as a box, without a warning."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph")
+        yield
+
+
 def drawing(elements: Sequence[Element], title: str) -> Figure:
     """Return the drawing of an argument, as high as it has to be."""
     boxes = {box.element.id: box for box in _placed(elements)}
-    height = max(box.bottom for box in boxes.values()) + PAD
+    height = max(box.bottom for box in boxes.values()) + 3 * PAD
     figure = Figure(figsize=(WIDTH, height), layout=None)
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set(xlim=(0.0, WIDTH), ylim=(height, 0.0))
