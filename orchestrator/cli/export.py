@@ -1,5 +1,6 @@
 """The command `export`: the data of a campaign in forms that other tools read."""
 
+import shlex
 import sys
 from pathlib import Path
 from typing import Any, Literal
@@ -213,7 +214,7 @@ def _export_case(
     from ..certificate.verify.run import verify_certificate  # noqa: PLC0415
     from ..certificate.verify.stages import stage_bars  # noqa: PLC0415
     from ..certificate.words.console_lines import hanging  # noqa: PLC0415
-    from ..release.safety_case.bundle import write_bundle  # noqa: PLC0415
+    from ..release.safety_case.bundle import Content, write_bundle  # noqa: PLC0415
     from ..release.safety_case.case import safety_case as case_of  # noqa: PLC0415
     from ..release.safety_case.files import case_files  # noqa: PLC0415
     from ..run.directory import finished_certificate  # noqa: PLC0415
@@ -232,12 +233,13 @@ def _export_case(
                 for file, data in zip(written, made.values(), strict=True):
                     file.write(data)
         if bundle is not None:
-            number = write_bundle(
-                bundle, directory, case, lines, signers=signers, trajectories=trajectories, key=key, report=report
-            )
+            content = Content(directory, case, lines, signers, trajectories)
+            number = write_bundle(bundle, content, key, report)
     hanging(output_console(), Text(), case.answer)
     if folder is not None:
         for name in made:
             click.echo(folder / name)
     if bundle is not None:
-        click.echo(f"{bundle}  {counted(number, 'file')}; to check it anywhere: perfbound verify {bundle.name}")
+        click.echo(
+            f"{bundle}  {counted(number, 'file')}; to check it anywhere: perfbound verify {shlex.quote(str(bundle))}"
+        )

@@ -34,12 +34,13 @@ CHECKS = {
     "database": "the tables of facts agree: tests, rollouts, observations, bounds",
     "attempts": "attempts, their outcomes and opinions are those that were recorded with the certificate",
     "resimulation": "rollouts that are simulated again give the same trajectory",
+}
+"""Every check in the order of the table, and the statement that it proves."""
+OF_BUNDLE = {
     "bundle": "the bundle has the files of its list, unchanged, and no others",
     "documents": "the safety case in the bundle follows from the certificate",
 }
-"""Every check in the order of the table, and the statement that it proves."""
-OF_BUNDLE = ("bundle", "documents")
-"""Checks that a run directory has not."""
+"""The checks that a bundle has besides."""
 ABSENT = {
     "composition": "no composition",
     "spot check": "no spot check",
@@ -60,7 +61,7 @@ class Check:
     @property
     def meaning(self) -> str:
         """The statement that this check proves."""
-        return CHECKS[self.name]
+        return {**CHECKS, **OF_BUNDLE}[self.name]
 
 
 class CheckFailed(Exception):  # noqa: N818  (an outcome of a verification, and no error of perfbound)
@@ -115,7 +116,7 @@ class Checks:
             raise CheckFailed(name, text if known else f"{type(error).__name__}: {text}") from error
 
     def _add(self, check: Check) -> None:
-        assert check.name in CHECKS
+        assert check.name in CHECKS or check.name in OF_BUNDLE
         # One line: a detail may quote untrusted text, and could forge further lines of the table.
         # A check may have several parts: a failure of any of them counts, else the first result.
         known = self.found.get(check.name)
@@ -124,9 +125,11 @@ class Checks:
 
     def lines(self) -> tuple[Check, ...]:
         """Return every check in the order of the table; those that were not reached are skipped."""
-        broken = next((name for name in CHECKS if name in self.found and self.found[name].status == "failed"), None)
+        broken = next(
+            (name for name in (*CHECKS, *OF_BUNDLE) if name in self.found and self.found[name].status == "failed"), None
+        )
         reason = f"not reached: `{broken}` failed" if broken else "not reached"
-        asked = [name for name in CHECKS if name in self.found or name not in OF_BUNDLE]
+        asked = [*CHECKS, *(name for name in OF_BUNDLE if name in self.found)]
         return tuple(self.found.get(name) or Check(name, "skipped", reason) for name in asked)
 
     @property

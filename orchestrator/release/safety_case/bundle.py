@@ -17,6 +17,7 @@ import tempfile
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import IO, Any, get_args
 
@@ -58,25 +59,30 @@ MAX_LIST = 2**28
 CHUNK = 2**20
 
 
-def write_bundle(
-    path: Path,
-    directory: Path,
-    case: SafetyCase,
-    lines: Sequence[Check],
-    *,
-    signers: Sequence[Path],
-    trajectories: bool,
-    key: Ed25519PrivateKey | None,
-    report: Report,
-) -> int:
-    """Write the bundle of a verified campaign; return its number of files.
+@dataclass(frozen=True, slots=True)
+class Content:
+    """What a bundle is made of."""
+
+    directory: Path
+    """The run directory."""
+    case: SafetyCase
+    lines: Sequence[Check]
+    """Of its verification."""
+    signers: Sequence[Path] = ()
+    """Public keys."""
+    trajectories: bool = True
+    """Whether they are in it."""
+
+
+def write_bundle(path: Path, content: Content, key: Ed25519PrivateKey | None, report: Report) -> int:
+    """Write a bundle, with a key signed; return its number of files.
 
     Raises:
         EvidenceError: a file cannot be read.
         PerfboundError: it cannot be written.
 
     """
-    listed = dict[str, str]()
+    directory, case, listed = content.directory, content.case, dict[str, str]()
     with whole(directory, [path]) as (out,), zipfile.ZipFile(out, "w", allowZip64=True) as bundle:
         for name in OF_RUN:
             if (directory / name).is_file():
@@ -84,33 +90,33 @@ def write_bundle(
                     listed[f"{RUN}/{name}"] = _added(bundle, f"{RUN}/{name}", file)
         with _database(directory) as file:
             listed[f"{RUN}/{DATABASE}"] = _added(bundle, f"{RUN}/{DATABASE}", file)
-        paths = _trajectories(directory) if trajectories else []
+        paths = _trajectories(directory) if content.trajectories else []
         for number, each in enumerate(paths, 1):
             with (directory / each).open("rb") as file:
                 listed[f"{RUN}/{each}"] = _added(bundle, f"{RUN}/{each}", file)
             report("trajectories", number, len(paths))
         for name, data in case_files(case).items():
             listed[f"{CASE}/{name}"] = _text(bundle, f"{CASE}/{name}", data)
-        for number, signer in enumerate(signers, 1):
+        for number, signer in enumerate(content.signers, 1):
             listed[f"{SIGNERS}/{number}.pub"] = _text(bundle, f"{SIGNERS}/{number}.pub", signer.read_bytes())
-        statement = _statement(case, listed, lines, trajectories=trajectories)
+        statement = _statement(content, listed)
         _text(bundle, LIST, statement)
         if key is not None:
             _text(bundle, ENVELOPE, sign(statement, key))
     return len(listed)
 
 
-def _statement(case: SafetyCase, listed: Mapping[str, str], lines: Sequence[Check], *, trajectories: bool) -> bytes:
+def _statement(content: Content, listed: Mapping[str, str]) -> bytes:
     statement = {
         "_type": STATEMENT_TYPE,
         "subject": [{"name": name, "digest": {"sha256": digest}} for name, digest in sorted(listed.items())],
         "predicateType": PREDICATE_TYPE,
         "predicate": {
-            "campaign": case.campaign,
-            "certificate_sha256": case.certificate_sha256,
-            "trajectories": trajectories,
+            "campaign": content.case.campaign,
+            "certificate_sha256": content.case.certificate_sha256,
+            "trajectories": content.trajectories,
             "software": {"perfbound": __version__, "matplotlib": mpl.__version__},
-            "checks": [[each.name, each.status, each.detail] for each in lines],
+            "checks": [[each.name, each.status, each.detail] for each in content.lines],
         },
     }
     return (json.dumps(statement, indent=1) + "\n").encode()
@@ -213,6 +219,8 @@ def _unpacked(path: Path, place: Path, key: Path | None, checks: Checks, report:
         if key is not None:
             _check_signature(bundle, names, statement, key)
         listed, predicate = _parsed(statement)
+        if f"{RUN}/{files.CERTIFICATE}" not in listed:
+            raise CheckFailed("bundle", "it has no certificate")
         others = [name for name in names if name not in (LIST, ENVELOPE)]
         if missing := sorted(listed.keys() - set(others)):
             raise CheckFailed("bundle", f"{one_line(missing[0])} is missing ({len(missing):,} in all)")
