@@ -1,7 +1,27 @@
 """Amounts as text: numbers of bytes and of things."""
 
 import math
+import re
 from collections.abc import Sequence
+
+UNITS = {"h": 3600.0, "d": 86_400.0, "w": 604_800.0}
+"""Seconds of the units of an age."""
+
+
+def seconds_of(age: str) -> float:
+    """Return an age with its unit in s.
+
+    Raises:
+        ValueError: it is none.
+
+    >>> seconds_of("36h"), seconds_of("30d")
+    (129600.0, 2592000.0)
+
+    """
+    found = re.fullmatch(r"([0-9]{1,6})\s*([hdw])", age.strip())
+    if found is None:
+        raise ValueError('allowed is a number with a unit: "36h", "30d" or "2w"')
+    return int(found[1]) * UNITS[found[2]]
 
 
 def amount(number: float) -> str:

@@ -101,6 +101,61 @@ def gate(
         sys.exit(FAILED)
 
 
+def _older(_context: click.Context, _parameter: click.Parameter, given: str) -> float:
+    from ...schemas.amounts import seconds_of  # noqa: PLC0415
+
+    try:
+        return seconds_of(given)
+    except ValueError as error:
+        raise click.BadParameter(f"{given!r}: {error}") from None
+
+
+@cli.command()
+@click.argument("folder", type=RUN_DIRECTORY, default="runs", callback=check_folder)
+@click.option(
+    "--older", required=True, metavar="AGE", callback=_older, help="Runs whose last change is older go: 36h, 30d, 2w."
+)
+@click.option(
+    "--keep-verified", is_flag=True, help="Keep finished runs that verify; each is verified, which takes time."
+)
+@click.option("--yes", is_flag=True, help="Do not ask.")
+@click.option("--dry-run", is_flag=True, help="Only say what would go.")
+def clean(*, folder: Path, older: float, keep_verified: bool, yes: bool, dry_run: bool) -> None:
+    """Remove old run directories in FOLDER (default: runs); say first what goes, and how much it frees.
+
+    A run that is running or signed stays, and one with files that perfbound has not written.
+    """
+    from collections import Counter  # noqa: PLC0415
+
+    from rich.progress import Progress  # noqa: PLC0415
+
+    from ...schemas.amounts import amount, counted  # noqa: PLC0415
+    from ..certificate.verify.stages import stage_bars  # noqa: PLC0415
+    from ..certificate.words.format import duration  # noqa: PLC0415
+    from ..release.clean import Judged, judge_runs, remove_runs  # noqa: PLC0415
+
+    with Progress(console=STDERR.console, transient=True, disable=not sys.stderr.isatty()) as progress:
+        found = judge_runs(folder, older=older, keep_verified=keep_verified, report=stage_bars(progress))
+    going = [each for each in found if not each.kept]
+    for each in going:
+        click.echo(f"{each.directory}  {amount(each.size)}, unchanged for {duration(each.age)}")
+    for why, number in sorted(Counter(each.kept for each in found if each.kept).items()):
+        click.echo(f"stays: {counted(number, 'run')}, {why}")
+    total = amount(sum(each.size for each in going))
+    click.echo(f"{counted(len(going), 'run')} of {len(found):,} can go, which frees {total}")
+    if dry_run or not going:
+        return
+    if not yes and not sys.stdin.isatty():
+        raise click.UsageError("there is no terminal to ask: give --yes to remove them, or --dry-run")
+    if not yes and not click.confirm("Remove them for good?"):
+        return
+
+    def done(each: Judged, reason: str) -> None:
+        click.echo(f"stays: {each.directory}: {reason}" if reason else f"removed {each.directory}")
+
+    click.echo(f"freed {amount(remove_runs(going, done))}")
+
+
 def _equal(_context: click.Context, _parameter: click.Parameter, given: tuple[str, ...]) -> dict[str, float]:
     """Return the differences that do not matter, by their quantities."""
     from typing import get_args  # noqa: PLC0415

@@ -155,7 +155,7 @@ def print_certificate(
     _refuted([each for each in broken if each not in of_first], ", of other claims than the first", console)
     if len(predicate.claims) > 1:
         console.print()
-        for line in _on_several(predicate):
+        for line in on_several(predicate):
             plain_line(console, line)
     if found_regions := region_sentences(predicate):
         heading(console, "Regions", "bold")
@@ -216,7 +216,7 @@ def _refuted(broken: Sequence[Assumption], whose: str, console: Console) -> None
         print_list(broken, console)
 
 
-def _on_several(predicate: Predicate) -> tuple[str, ...]:
+def on_several(predicate: Predicate) -> tuple[str, ...]:
     """Return what holds of several claims together."""
     if predicate.problems[0].parameters.get("jointly"):
         together = 1.0 - sum(1.0 - claim.probability for claim in predicate.claims)

@@ -1,7 +1,6 @@
 """The policy file of a gate: what a release asks of a certificate."""
 
 import json
-import re
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -9,6 +8,7 @@ from typing import Annotated, Any, Literal
 from packaging.specifiers import InvalidSpecifier, SpecifierSet
 from pydantic import BeforeValidator, Field, StringConstraints, ValidationError, field_validator
 
+from ....schemas.amounts import seconds_of
 from ....schemas.base import Model
 from ....schemas.errors import PerfboundError, meant, shortened
 from ....schemas.outside import read_outside
@@ -18,9 +18,6 @@ MAX_POLICY = 2**20
 """Bytes."""
 OTHERS = "*"
 """The key under `[assumptions]` for those without a key of their own."""
-UNITS = {"h": 3600.0, "d": 86_400.0, "w": 604_800.0}
-"""Seconds of the units of `max_age`."""
-AGE = re.compile(r"([0-9]{1,6})\s*([hdw])")
 ONE_OR_MORE = BeforeValidator(lambda given: [given] if isinstance(given, str) else given)
 """Of a list: a text alone is short for a list of it."""
 
@@ -83,10 +80,7 @@ class Policy(Model):
     def _seconds(cls, given: Any) -> Any:
         if given is None:
             return given
-        found = AGE.fullmatch(given.strip()) if isinstance(given, str) else None
-        if found is None:
-            raise ValueError('allowed is a number with a unit: "36h", "30d" or "2w"')
-        return int(found[1]) * UNITS[found[2]]
+        return seconds_of(given if isinstance(given, str) else "")
 
     @field_validator("software")
     @classmethod

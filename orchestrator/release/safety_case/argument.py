@@ -14,6 +14,7 @@ The file has the form that the tools gsn2x and others read: an element by its id
 """
 
 import json
+import re
 from dataclasses import dataclass
 from typing import Literal
 
@@ -47,14 +48,15 @@ class Element:
 
 def argument(case: SafetyCase) -> tuple[Element, ...]:
     """Return the elements of the argument, the top goal first."""
-    claims = [f"G{2 + k}" for k in range(min(len(case.claims), MOST_CLAIMS))]
+    shown = _goals(case)
+    claims = [f"G{2 + k}" for k in range(len(shown))]
     tested, traced, known = (f"G{2 + len(claims) + k}" for k in range(3))
     assumed = [Element(f"A{k}", _assumed(each)) for k, each in enumerate(case.with_status("assumed"), 1)]
     refuted = case.with_status("refuted")
     return (
         Element("G1", case.answer, ("S1",), ("C1", "C2", "C3"), refuted=case.verdict == "VIOLATED"),
         Element("C1", _table("System", case.system)),
-        Element("C2", _table("Operational design domain", case.domain)),
+        Element("C2", _table("Operational design domain, as far as simulated", case.domain)),
         Element("C3", _table("Requirements", case.requirements)),
         Element(
             "S1",
@@ -65,25 +67,48 @@ def argument(case: SafetyCase) -> tuple[Element, ...]:
         *assumed,
         Element("J1", _derived(case)),
         *(
-            Element(name, each.sentence, (f"Sn{number}",), refuted=each.refuted)
-            for number, (name, each) in enumerate(zip(claims, case.claims, strict=False), 1)
+            Element(name, text, (f"Sn{number}",), refuted=refuted)
+            for number, (name, (text, refuted)) in enumerate(zip(claims, shown, strict=True), 1)
         ),
         Element(tested, _tested(case), (f"Sn{len(claims) + 1}",), refuted=bool(refuted)),
         Element(traced, "The certificate follows from the recorded rollouts", (f"Sn{len(claims) + 2}",)),
         Element(
             known,
-            "It is known who made the certificate",
+            "The certificate is signed by a known key",
             (f"Sn{len(claims) + 3}",) if case.signed else (),
             undeveloped=not case.signed,
         ),
         *(
-            Element(f"Sn{number}", f"certificate.json, claim {number}, sha256 {case.certificate_sha256[:16]}...")
+            Element(f"Sn{number}", f"certificate.json, sha256 {case.certificate_sha256[:16]}...")
             for number in range(1, len(claims) + 1)
         ),
         Element(f"Sn{len(claims) + 1}", _tests_made(case)),
-        Element(f"Sn{len(claims) + 2}", f"{case.verification}."),
-        *([Element(f"Sn{len(claims) + 3}", " ".join(case.signatures))] if case.signed else []),
+        Element(f"Sn{len(claims) + 2}", case.verification.partition(". ")[0]),
+        *(
+            [
+                Element(
+                    f"Sn{len(claims) + 3}", re.sub(r"([0-9a-f]{16})[0-9a-f]{48}", r"\1...", " ".join(case.signatures))
+                )
+            ]
+            if case.signed
+            else []
+        ),
     )
+
+
+def _signers(case: SafetyCase) -> str:
+    # The beginning of a key is enough where the document has all of it.
+    return re.sub(r"([0-9a-f]{16})[0-9a-f]{48}", r"\1...", " ".join(case.signatures))
+
+
+def _goals(case: SafetyCase) -> list[tuple[str, bool]]:
+    """Return the goals about what is shown, and whether each is refuted: what the rollouts show alone comes first."""
+    claims = [
+        (f"{each.requirement}: {each.sentence}" if each.requirement else each.sentence, each.refuted)
+        for each in case.claims[:MOST_CLAIMS]
+    ]
+    by_rollouts = [("By the rollouts alone, without a kernel: " + " ".join(case.reasons), False)]
+    return [*(by_rollouts if case.by_rollouts and case.verdict == "VIOLATED" else []), *claims]
 
 
 def _table(title: str, rows: tuple[Named, ...]) -> str:

@@ -37,6 +37,7 @@ from ...certificate.verify.run import Verification, verify_certificate
 from ...certificate.verify.stages import Report
 from ...store.export import whole
 from ...store.files import contents
+from ...store.readonly import snapshot
 from ...store.rows import DATABASE
 from .case import SafetyCase, safety_case
 from .files import case_files
@@ -148,8 +149,7 @@ def _database(directory: Path) -> Iterator[IO[bytes]]:
     """Open a copy of the database at one moment, without the files that SQLite keeps beside one."""
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / DATABASE
-        source = f"{(directory / DATABASE).absolute().as_uri()}?mode=ro"
-        with closing(sqlite3.connect(source, uri=True)) as one, closing(sqlite3.connect(copy)) as other:
+        with snapshot(directory) as one, closing(sqlite3.connect(copy)) as other:
             one.backup(other)
             other.execute("PRAGMA journal_mode=DELETE")
         with copy.open("rb") as file:

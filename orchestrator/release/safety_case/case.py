@@ -9,7 +9,9 @@ from typing import NamedTuple
 from ....schemas.amounts import counted
 from ....schemas.errors import EvidenceError, one_line
 from ....schemas.file.drawn_claims import is_sampled
+from ....schemas.file.objectives import Quantity
 from ....schemas.file.parameters import Range
+from ....schemas.file.requirements import Requirement
 from ....schemas.file.space import Scenarios
 from ....schemas.result.certificate import Assumption, Certificate, CertificateClaim, Predicate
 from ....schemas.result.facts import Header
@@ -22,9 +24,9 @@ from ...certificate.signing.sign import claimed_signers, unsigned
 from ...certificate.verify.checks import ABSENT, OF_BUNDLE, Check
 from ...certificate.verify.manifest import sha256_of
 from ...certificate.words.bound_text import in_unit
-from ...certificate.words.known_text import verdict_words, violation_words
+from ...certificate.words.known_text import violation_words
 from ...certificate.words.refutation_text import refutation_sentence
-from ...certificate.words.text import check_sentences, claim_heading, notes, nothing_shown
+from ...certificate.words.text import check_sentences, claim_heading, notes, nothing_shown, on_several
 from ...report.collect.wording import counterexample_sentences, question_words, typeset
 from ...report.glossary import glossary
 from ...run.known import finished
@@ -33,6 +35,8 @@ from ...store.files import contents
 from ...store.read import system_revision
 from .judges import judge_of
 
+OF_MEANS: tuple[Quantity, ...] = ("expected_robustness", "rho_star", "mean", "risk", "J_star")
+"""Quantities of which single rollouts may be worse."""
 OF_READER = ("signature", "resimulation", *OF_BUNDLE)
 """Checks that depend on what a reader asks for."""
 MOST_LISTED = 5
@@ -49,6 +53,8 @@ class Named(NamedTuple):
 class ClaimText(NamedTuple):
     """One claim in a sentence, and what stands beside it."""
 
+    requirement: str
+    """Its id and name; empty of a claim about the whole specification."""
     sentence: str
     notes: tuple[str, ...]
     refuted: bool
@@ -73,6 +79,10 @@ class SafetyCase:
     verdict: VerdictWord
     answer: str
     """The verdict with its first reason."""
+    reasons: tuple[str, ...]
+    """Of the verdict."""
+    by_rollouts: bool
+    """Whether rollouts alone show it, without a kernel."""
     question: str
     """What the campaign file requires; empty where it requires nothing."""
     requirements: tuple[Named, ...]
@@ -115,18 +125,23 @@ def safety_case(directory: Path, keys: Sequence[Path], certificate: Certificate,
     campaign, sha256 = finished(directory, certificate), _sha256(directory)
     header, predicate = campaign.header, campaign.predicate
     unit = robustness_unit(header.config, header.spec)
+    named = {each.name: _requirement_name(each) for each in header.config.specifications}
     signed, unchecked_signers = _signed(directory, keys), claimed_signers(directory)
     found = SafetyCase(
         campaign=header.config.name,
         certificate_sha256=sha256,
         verdict=campaign.verdict.verdict,
-        answer=_answer(campaign.verdict),
+        answer=_answer(campaign.verdict, header, predicate),
+        reasons=tuple(typeset(one_line(each)) for each in campaign.verdict.reasons),
+        by_rollouts=campaign.verdict.by_rollouts is not None,
         question=typeset(question_words(header, predicate.claims[0].quantity, predicate.claims[0].starts)),
         requirements=tuple(_requirements(header)),
         system=tuple(_system(header, system_revision(directory))),
         domain=tuple(_domain(header, predicate)),
         claims=tuple(
-            ClaimText(_sentence(each, unit), tuple(map(typeset, notes(predicate, k))), bool(each.refuted))
+            ClaimText(
+                named.get(each.requirement or "", ""), _sentence(each, unit), _notes(predicate, k), bool(each.refuted)
+            )
             for k, each in enumerate(predicate.claims)
         ),
         assumptions=tuple(map(_assumption, predicate.assumptions)),
@@ -152,6 +167,11 @@ def _words(case: SafetyCase) -> Iterator[Named]:
             yield Named(names[0], typeset(one_line(meaning)))
 
 
+def _notes(predicate: Predicate, number: int) -> tuple[str, ...]:
+    last = on_several(predicate) if number == len(predicate.claims) - 1 > 0 else ()
+    return tuple(typeset(one_line(each)) for each in (*notes(predicate, number), " ".join(last)) if each)
+
+
 def _sentence(claim: CertificateClaim, unit: str) -> str:
     """Return a claim in words, with what takes its worth."""
     words = f"{claim_heading(claim, unit)}, {chance_words(claim)}"
@@ -160,11 +180,15 @@ def _sentence(claim: CertificateClaim, unit: str) -> str:
     return typeset(one_line(f"{words[0].upper()}{words[1:]}"))
 
 
-def _answer(found: CampaignVerdict) -> str:
+def _answer(found: CampaignVerdict, header: Header, predicate: Predicate) -> str:
     """Return the verdict with its reason: of SHOWN what is claimed, else why not."""
-    word = verdict_words(found)
+    measured = any(each.form == "measured_system" for each in predicate.assumptions)
+    of = f"for the system {header.spec.name}" if measured else f"for the simulator {header.spec.name}"
     reason = f"{found.claim}." if found.verdict == "SHOWN" or not found.reasons else found.reasons[0]
-    return typeset(one_line(f"{word}. {reason}"))
+    words = f"{found.verdict} {of}. {reason}"
+    if found.rests_on:
+        words += f" This rests on {found.rests_on}: with twice the norm bound or half the length scale it is not shown."
+    return typeset(one_line(words))
 
 
 def _sha256(directory: Path) -> str:
@@ -176,9 +200,13 @@ def _requirements(header: Header) -> Iterator[Named]:
     if not config.specifications:
         yield Named("specification", typeset(one_line(config.formula or "none")))
     for each in config.specifications:
-        name = each.name if each.id is None else f"{each.id} ({each.name})"
-        words = "; ".join(filter(None, (each.text, each.link)))
-        yield Named(one_line(name), typeset(one_line(f"{each.formula}{f'; in words: {words}' if words else ''}")))
+        yield Named(_requirement_name(each), typeset(one_line(each.formula)))
+        for words in filter(None, (each.text, each.link)):
+            yield Named("", one_line(words))
+
+
+def _requirement_name(found: Requirement) -> str:
+    return one_line(found.name if found.id is None else f"{found.id} ({found.name})")
 
 
 def _system(header: Header, revision: str | None) -> Iterator[Named]:
@@ -236,7 +264,8 @@ def _range_words(given: Range, unit: str, *, drawn: bool) -> str:
         words += f", an input over time ({given.signal}{knots})"
     if drawn:
         keys = ", ".join(f"{key} {value:g}" for key, value in given.described.items())
-        words += f", {given.distribution}{f' ({keys})' if keys else ''}"
+        law = f"{given.distribution}{f' ({keys})' if keys else ''}"
+        words += f", {law}" if given.distribution == "uniform" else f", {law}, truncated to this range"
     return words
 
 
@@ -255,7 +284,6 @@ def _assumption(found: Assumption) -> AssumptionText:
 
 
 def _checks(header: Header, verdict: CampaignVerdict, predicate: Predicate) -> Iterator[str]:
-    yield from (typeset(one_line(each)) for each in verdict.reasons if verdict.verdict != "SHOWN")
     if count := violation_words(verdict):
         yield typeset(one_line(count))
     units = {each.name: each.unit for each in header.spec.parameters}
@@ -292,12 +320,13 @@ def _unchecked(header: Header, predicate: Predicate, lines: Sequence[Check], *, 
     for each in lines:
         if each.status == "skipped" and each.name not in (*OF_READER, *ABSENT):
             yield f"In the verification, that {each.meaning}: {each.detail}."
-    yield "For this document no rollout was simulated again: `perfbound verify --resimulate 20` does that."
-    if not signed:
-        yield "Who made the certificate: no signature was checked."
+    yield "When this document was made, no rollout was simulated again: perfbound verify --resimulate 20 does that."
+    yield "Whose keys the signatures are." if signed else "Who made the certificate: no signature was checked."
 
 
 def _of_claim(claim: CertificateClaim) -> Iterator[str]:
+    if claim.quantity in OF_MEANS:
+        yield "Single rollouts: the first claim is about a mean over the noise; one may be below it, or violate."
     if is_sampled(claim.quantity):
         yield "Any single start: the first claim is about starts that are drawn as declared."
     elif claim.starts is not None:
@@ -320,8 +349,8 @@ def _verification(lines: Sequence[Check]) -> str:
     made = [each for each in lines if each.name not in OF_READER]
     passed, skipped = (sum(each.status == status for each in made) for status in ("passed", "skipped"))
     return (
-        f"`perfbound verify` decided the campaign again from its trajectories: {counted(passed, 'check')} passed, "
-        f"{skipped} skipped, none failed"
+        f"perfbound verify decided the campaign again from its trajectories: {counted(passed, 'check')} passed, "
+        f"{skipped} skipped, none failed. That is: the certificate follows from the recorded rollouts"
     )
 
 

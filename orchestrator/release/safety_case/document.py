@@ -20,6 +20,8 @@ MOST_PAGES = 4
 WIDTH, HEIGHT = 8.27, 11.69
 """Inches of a page: A4."""
 MARGIN = 0.8
+TOGETHER = 8
+"""Lines of a row that are not divided between two pages."""
 NAMES = 1.3
 """Inches of the first column of a table."""
 STYLE: dict[Any, Any] = {
@@ -30,7 +32,7 @@ STYLE: dict[Any, Any] = {
     "font.family": FONT,
 }
 AMBER = "#8a5a00"
-COLOURS = {"SHOWN": GREEN, "VIOLATED": RED, "NOT SHOWN": AMBER, "refuted": RED, "derived": GREEN}
+COLOURS = {"SHOWN": GREEN, "VIOLATED": RED, "NOT SHOWN": AMBER, "refuted": RED}
 STATUSES = ("refuted", "assumed", "not refuted", "derived")
 
 
@@ -110,9 +112,12 @@ class _Flow:
             self.line([(indent, each, style)])
 
     def row(self, name: str, text: str, **style: Any) -> None:
-        """Put a name in front of a text."""
+        """Put a name in front of a text, on one page where it is short."""
         names = wrapped(self._cut(name), self.size, NAMES - 0.1)
         texts = wrapped(self._cut(text), self.size, WIDTH - 2 * MARGIN - NAMES)
+        lines = max(len(names), len(texts))
+        if lines <= TOGETHER and self._y + lines * self.size * 1.36 / 72.0 > HEIGHT - MARGIN:
+            self._y = HEIGHT
         for k in range(max(len(names), len(texts))):
             parts: list[Part] = [(0.0, names[k], {"color": GREY})] if k < len(names) else []
             parts += [(NAMES, texts[k], style)] if k < len(texts) else []
@@ -128,7 +133,13 @@ def to_pdf(case: SafetyCase) -> bytes:
         pages = [*text_pages(case), drawing(argument(case), f"Argument: {case.campaign}")]
         for number, page in enumerate(pages, 1):
             foot = f"{case.campaign}, certificate {case.certificate_sha256[:16]}..., page {number} of {len(pages)}"
-            page.text(0.02, 0.03 if number < len(pages) else 0.012, foot, fontsize=7, color=GREY)
+            page.text(
+                MARGIN / WIDTH if number < len(pages) else 0.01,
+                0.03 if number < len(pages) else 0.012,
+                foot,
+                fontsize=7,
+                color=GREY,
+            )
         out = io.BytesIO()
         about = {"Title": f"Safety case of {case.campaign}", "CreationDate": None, "Producer": None, "Creator": None}
         with PdfPages(out, metadata=about) as file:
@@ -148,33 +159,39 @@ def text_pages(case: SafetyCase) -> list[Figure]:
 def _pages(case: SafetyCase, form: _Form) -> list[Figure]:
     flow, most, details = _Flow(form.size, form.letters), form.most, form.details
     flow.line([(0.0, f"Safety case of the campaign {case.campaign}", {"weight": "bold", "fontsize": 15})], 2.2)
+    flow.space(0.5)
     flow.paragraph(case.answer, weight="bold", color=AMBER if "rests on" in case.answer else COLOURS[case.verdict])
     flow.space(0.3)
     flow.paragraph(
         "The margin, or robustness, of a simulated run is by how much it meets its specification: below 0 it violates "
-        "it. Every number here is that of the certificate, rounded to the safe side."
+        "it. The numbers of the claims are those of the certificate, rounded to the safe side."
     )
     flow.heading("1  What is claimed")
+    _table(flow, case.requirements, most)
     if case.question:
         flow.row("required", case.question)
+    if case.verdict != "SHOWN":
+        for text in case.reasons[:most]:
+            flow.row(case.verdict.lower(), text, color=COLOURS[case.verdict])
     for number, each in enumerate(case.claims[:most], 1):
-        flow.row(f"claim {number}", sentence(each.sentence), color=RED if each.refuted else "black")
+        about = f", about {each.requirement}" if each.requirement else ""
+        flow.row(f"claim {number}{about}", sentence(each.sentence), color=RED if each.refuted else "black")
         for note in each.notes[: most if details else 1]:
             flow.row("", note)
     _more(flow, len(case.claims), most)
-    _table(flow, case.requirements, most)
     _table(flow, case.system, most)
-    flow.heading("2  Where it holds: the operational design domain")
+    flow.heading("2  Where it holds: the operational design domain, as far as it was simulated")
     _table(flow, case.domain, most)
     flow.heading("3  What it rests on, and who must judge it")
     flow.paragraph(
         "Refuted: the data contradict it. Assumed: no data of the campaign test it. Not refuted: the data test it, and "
-        "do not contradict it. Derived: it follows from the method."
+        "do not contradict it. Derived: it follows from the method. A1, A2 and so on are those of the drawing."
     )
     for status in STATUSES:
-        for found in case.with_status(status)[:most]:
+        for number, found in enumerate(case.with_status(status)[:most], 1):
             judge = "" if status == "derived" else f" To be judged by {found.judge}."
-            flow.row(status, f"{found.title} ({found.id}).{judge}", color=COLOURS.get(status, "black"))
+            name = f"{status}, A{number}" if status == "assumed" else status
+            flow.row(name, f"{found.title} ({found.id}).{judge}", color=COLOURS.get(status, "black"))
             if details:
                 flow.row("", sentence(found.detail), color=GREY)
         _more(flow, len(case.with_status(status)), most)
@@ -184,7 +201,7 @@ def _pages(case: SafetyCase, form: _Form) -> list[Figure]:
     flow.paragraph(f"{case.verification}.")
     flow.heading("5  What was not checked, and is not claimed")
     for text in case.unchecked[: max(most, 20)]:
-        flow.row("", text)
+        flow.paragraph(f"\u2022  {text}")
     flow.heading("6  Evidence and signature")
     flow.paragraph("Digests are SHA-256; that of the certificate names all others.")
     _table(flow, case.evidence, most)

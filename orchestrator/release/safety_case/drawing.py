@@ -1,5 +1,6 @@
 """The argument of a safety case as a drawing: goals, strategies, solutions and contexts in their usual shapes."""
 
+import re
 import textwrap
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,6 +23,8 @@ SIZE, LINE = 8.0, 0.155
 """Points of the text, and inches from line to line."""
 PAD, GAP, LEVEL = 0.14, 0.22, 0.42
 """Inches inside a box, between two boxes, and between two levels."""
+SLANT = 0.05
+"""Of a parallelogram, as a share of its width."""
 FONT = "DejaVu Sans"
 THIN, THICK = 0.9, 1.6
 """Points of a line, and of one around what is refuted."""
@@ -80,6 +83,9 @@ def drawing(elements: Sequence[Element], title: str) -> Figure:
     for box in boxes.values():
         _draw(axes, box)
     _around(axes, boxes)
+    if any(each.undeveloped for each in elements):
+        legend = "A diamond below a goal: its argument is missing."
+        axes.text(WIDTH - PAD, 2.2 * PAD, legend, fontsize=SIZE, fontfamily=FONT, va="center", ha="right")
     return figure
 
 
@@ -87,11 +93,16 @@ def _placed(elements: Sequence[Element]) -> Iterator[Box]:
     """Yield the elements with their places: contexts beside the goal, assumptions on the right of all below it."""
     known = {each.id: each for each in elements}
     goal, strategy = known["G1"], known["S1"]
-    contexts = [known[name] for name in goal.in_context_of]
-    row = [contexts[0], goal, *contexts[1:]]
-    shares = [1.0, 1.4, *(1.0 for _ in contexts[1:])]
-    yield from _row(row, shares, 4 * PAD, WIDTH)
-    top = 4 * PAD + _height(row, shares, WIDTH) + LEVEL
+    # The first context on the left of the goal, the others below each other on its right.
+    system, *others = (known[name] for name in goal.in_context_of)
+    boxes = list(_row([system, goal, goal], [1.0, 1.4, 1.4], 4 * PAD, WIDTH))
+    yield from boxes[:2]
+    beside = 4 * PAD
+    for each in others:
+        box = _box(each, boxes[2].x, beside, boxes[2].width)
+        yield box
+        beside = box.bottom + PAD
+    top = max(*(box.bottom for box in boxes[:2]), beside - PAD) + LEVEL
     assumed = [known[name] for name in strategy.in_context_of if name.startswith("A")]
     below, left = top, LEFT if assumed else WIDTH
     half = (WIDTH - LEFT - 3 * GAP) / 2
@@ -136,13 +147,16 @@ def _box(element: Element, x: float, y: float, width: float) -> Box:
     # Of an ellipse the corners are no place for text, of a parallelogram its ends are none.
     room = width * (0.72 if element.kind in ("Sn", "A", "J") else 0.86) - 2 * PAD
     head, *rest = f"{element.id}  {element.text}".split("\n")
-    lines = [
-        line
-        for part in (head, *rest)
-        for line in textwrap.wrap(part, max(int(room / LETTERS), 12), break_long_words=False)
-    ]
+    letters = max(int(room / LETTERS), 12)
+    # Ids are long words: they are divided behind a line or a stroke.
+    parts = (re.sub(rf"\S{{{letters},}}", _divided, part) for part in (head, *rest))
+    lines = [line for part in parts for line in textwrap.wrap(part, letters)]
     height = LINE * len(lines) * (1.35 if element.kind in ("Sn", "A", "J") else 1.0) + 3 * PAD
     return Box(element, tuple(lines), x, y, width, height)
+
+
+def _divided(found: re.Match[str]) -> str:
+    return re.sub(r"([_/])", r"\1 ", found[0])
 
 
 def _draw(axes: Axes, box: Box) -> None:
@@ -158,7 +172,7 @@ def _draw(axes: Axes, box: Box) -> None:
     if kind in ("Sn", "A", "J"):
         axes.add_patch(Ellipse((x, middle), w, h, **style))
     elif kind == "S":
-        slant = 0.05 * w
+        slant = SLANT * w
         left, right = x - w / 2, x + w / 2
         axes.add_patch(Polygon([(left + slant, y), (right, y), (right - slant, y + h), (left, y + h)], **style))
     else:
@@ -167,7 +181,9 @@ def _draw(axes: Axes, box: Box) -> None:
         shape = f"round,pad={rounding},rounding_size={rounding}"
         axes.add_patch(FancyBboxPatch(corner, w - 2 * rounding, h - 2 * rounding, boxstyle=shape, **style))
     if kind in ("A", "J"):
-        axes.text(x + w / 2 - 0.1, y + h - 0.05, kind, fontsize=SIZE, fontfamily=FONT, ha="right", weight="bold")
+        # On the left of a justification, whose right is crossed by arrows.
+        place = x + w * (0.44 if kind == "A" else -0.44)
+        axes.text(place, y + h * 0.96, kind, fontsize=SIZE, fontfamily=FONT, ha="center", weight="bold")
     if box.element.undeveloped:
         below = y + h
         axes.add_patch(Polygon([(x, below), (x + 0.1, below + 0.1), (x, below + 0.2), (x - 0.1, below + 0.1)], **style))
@@ -188,12 +204,13 @@ def _draw(axes: Axes, box: Box) -> None:
 
 
 def _arrow(axes: Axes, one: Box, other: Box, *, filled: bool) -> None:
-    if filled or other.y >= one.bottom:
+    if filled:
         start, end = (one.x, one.bottom), (other.x, other.y)
     else:
         side = 1 if other.x > one.x else -1
-        middle = min(one.y + one.height / 2, other.bottom - PAD)
-        start, end = (one.x + side * one.width / 2, middle), (other.x - side * other.width / 2, middle)
+        slant = SLANT * one.width / 2 if one.element.kind == "S" else 0.0
+        start = one.x + side * (one.width / 2 - slant), one.y + one.height / 2
+        end = other.x - side * other.width / 2, other.y + other.height / 2
     head = "-|>" if filled else "->"
     axes.add_patch(
         FancyArrowPatch(start, end, arrowstyle=head, mutation_scale=11, color=GREY, linewidth=THIN, zorder=2, shrinkA=0)

@@ -167,8 +167,11 @@ def question_words(header: Header, quantity: Quantity | None, listed: int | None
     if quantity == "failure_probability":
         limit = config.required_at_most
         if limit is not None:
-            return f"{where}, the probability that a rollout violates it must be at most {as_required(limit)}."
+            at_most = as_required(limit)
+            return f"{where}, the probability that a rollout violates the specification must be at most {at_most}."
         if config.falsify is not None:
-            return "Whether some rollout violates it: a search chooses the tests."
-        return f"{where}, how probable it is that a rollout violates it; the campaign file names no limit."
+            return "Whether some rollout violates the specification: a search chooses the tests."
+        return (
+            f"{where}, how probable it is that a rollout violates the specification; the campaign file names no limit."
+        )
     return ""
