@@ -38,6 +38,7 @@ class Element:
     undeveloped: bool = False
     """Whether the argument below it is missing."""
     refuted: bool = False
+    """Whether it is marked: refuted, or a violation."""
 
     @property
     def kind(self) -> Kind:
@@ -68,22 +69,22 @@ def argument(case: SafetyCase) -> tuple[Element, ...]:
         Element("J1", _derived(case)),
         *(
             Element(name, text, (f"Sn{number}",), refuted=refuted)
-            for number, (name, (text, refuted)) in enumerate(zip(claims, shown, strict=True), 1)
+            for number, (name, (text, refuted, _)) in enumerate(zip(claims, shown, strict=True), 1)
         ),
         Element(tested, _tested(case), (f"Sn{len(claims) + 1}",), refuted=bool(refuted)),
         Element(traced, "The certificate follows from the recorded rollouts", (f"Sn{len(claims) + 2}",)),
         Element(
             known,
-            "The certificate is signed by a known key",
+            "The certificate has a valid signature by a named key",
             (f"Sn{len(claims) + 3}",) if case.signed else (),
             undeveloped=not case.signed,
         ),
         *(
-            Element(f"Sn{number}", f"certificate.json, sha256 {case.certificate_sha256[:16]}...")
-            for number in range(1, len(claims) + 1)
+            Element(f"Sn{number}", f"certificate.json: {how}, {case.rollouts:,} rollouts")
+            for number, (_, _, how) in enumerate(shown, 1)
         ),
         Element(f"Sn{len(claims) + 1}", _tests_made(case)),
-        Element(f"Sn{len(claims) + 2}", case.verification.partition(". ")[0]),
+        Element(f"Sn{len(claims) + 2}", re.split("[.;] ", case.verification)[0]),
         *(
             [
                 Element(
@@ -101,13 +102,20 @@ def _signers(case: SafetyCase) -> str:
     return re.sub(r"([0-9a-f]{16})[0-9a-f]{48}", r"\1...", " ".join(case.signatures))
 
 
-def _goals(case: SafetyCase) -> list[tuple[str, bool]]:
-    """Return the goals about what is shown, and whether each is refuted: what the rollouts show alone comes first."""
+def _goals(case: SafetyCase) -> list[tuple[str, bool, str]]:
+    """Return the goals about what is shown, whether each is marked, and how it is shown.
+
+    What rollouts alone show comes first.
+    """
     claims = [
-        (f"{each.requirement}: {each.sentence}" if each.requirement else each.sentence, each.refuted)
+        (
+            f"{each.requirement}: {each.sentence}" if each.requirement else each.sentence,
+            each.refuted,
+            f"method {each.method}",
+        )
         for each in case.claims[:MOST_CLAIMS]
     ]
-    by_rollouts = [("By the rollouts alone, without a kernel: " + " ".join(case.reasons), False)]
+    by_rollouts = [("By the rollouts alone, without a kernel: " + " ".join(case.reasons), True, "counted")]
     return [*(by_rollouts if case.by_rollouts and case.verdict == "VIOLATED" else []), *claims]
 
 

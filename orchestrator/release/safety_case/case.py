@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
-from ....schemas.amounts import counted
+from ....schemas.amounts import counted, some_of
 from ....schemas.errors import EvidenceError, one_line
 from ....schemas.file.drawn_claims import is_sampled
 from ....schemas.file.objectives import Quantity
@@ -18,7 +18,7 @@ from ....schemas.result.facts import Header
 from ....schemas.result.known import CampaignVerdict, VerdictWord
 from ...certificate import files
 from ...certificate.assumptions.statements import title
-from ...certificate.counter_evidence import chance_words
+from ...certificate.counter_evidence import OF_ROLLOUTS, chance_words
 from ...certificate.signing.keys import key_id, load_public
 from ...certificate.signing.sign import claimed_signers, unsigned
 from ...certificate.verify.checks import ABSENT, OF_BUNDLE, Check
@@ -39,6 +39,8 @@ OF_MEANS: tuple[Quantity, ...] = ("expected_robustness", "rho_star", "mean", "ri
 """Quantities of which single rollouts may be worse."""
 OF_READER = ("signature", "resimulation", *OF_BUNDLE)
 """Checks that depend on what a reader asks for."""
+MOST_OPTIONS = 4
+"""Options of the system in the answer."""
 MOST_LISTED = 5
 """Starts of a list that are named."""
 
@@ -55,6 +57,7 @@ class ClaimText(NamedTuple):
 
     requirement: str
     """Its id and name; empty of a claim about the whole specification."""
+    method: str
     sentence: str
     notes: tuple[str, ...]
     refuted: bool
@@ -98,6 +101,8 @@ class SafetyCase:
     words: tuple[Named, ...]
     """What words of the claims mean."""
     verification: str
+    rollouts: int
+    """Of the evidence."""
     signatures: tuple[str, ...]
     """Who signed; what is not checked says so."""
     signed: bool
@@ -132,7 +137,7 @@ def safety_case(directory: Path, keys: Sequence[Path], certificate: Certificate,
         certificate_sha256=sha256,
         verdict=campaign.verdict.verdict,
         answer=_answer(campaign.verdict, header, predicate),
-        reasons=tuple(typeset(one_line(each)) for each in campaign.verdict.reasons),
+        reasons=tuple(_reasons(campaign.verdict, predicate)),
         by_rollouts=campaign.verdict.by_rollouts is not None,
         question=typeset(question_words(header, predicate.claims[0].quantity, predicate.claims[0].starts)),
         requirements=tuple(_requirements(header)),
@@ -140,7 +145,11 @@ def safety_case(directory: Path, keys: Sequence[Path], certificate: Certificate,
         domain=tuple(_domain(header, predicate)),
         claims=tuple(
             ClaimText(
-                named.get(each.requirement or "", ""), _sentence(each, unit), _notes(predicate, k), bool(each.refuted)
+                named.get(each.requirement or "", ""),
+                each.method,
+                _sentence(each, unit),
+                _notes(predicate, k),
+                bool(each.refuted),
             )
             for k, each in enumerate(predicate.claims)
         ),
@@ -150,6 +159,7 @@ def safety_case(directory: Path, keys: Sequence[Path], certificate: Certificate,
         evidence=tuple(_evidence(header, predicate, sha256)),
         words=(),
         verification=_verification(lines),
+        rollouts=predicate.evidence.rollouts,
         signatures=tuple(signed) or tuple(_claimed(unchecked_signers)),
         signed=bool(signed),
     )
@@ -183,12 +193,23 @@ def _sentence(claim: CertificateClaim, unit: str) -> str:
 def _answer(found: CampaignVerdict, header: Header, predicate: Predicate) -> str:
     """Return the verdict with its reason: of SHOWN what is claimed, else why not."""
     measured = any(each.form == "measured_system" for each in predicate.assumptions)
-    of = f"for the system {header.spec.name}" if measured else f"for the simulator {header.spec.name}"
+    given = [f"{name} = {value}" for name, value in header.template.options.items()]
+    options = f" with {some_of(given[:MOST_OPTIONS])}" if given else ""
+    of = f"for the {'system' if measured else 'simulator'} {header.spec.name}{options}"
     reason = f"{found.claim}." if found.verdict == "SHOWN" or not found.reasons else found.reasons[0]
     words = f"{found.verdict} {of}. {reason}"
     if found.rests_on:
         words += f" This rests on {found.rests_on}: with twice the norm bound or half the length scale it is not shown."
     return typeset(one_line(words))
+
+
+def _reasons(found: CampaignVerdict, predicate: Predicate) -> Iterator[str]:
+    yield from (typeset(one_line(each)) for each in found.reasons)
+    if found.by_rollouts is not None:
+        ids = [
+            each.id for each in predicate.assumptions if each.id.partition("/")[0] in (*OF_ROLLOUTS, "workers_honest")
+        ]
+        yield f"This needs no kernel; it rests on {', '.join(ids)}."
 
 
 def _sha256(directory: Path) -> str:
@@ -284,6 +305,8 @@ def _assumption(found: Assumption) -> AssumptionText:
 
 
 def _checks(header: Header, verdict: CampaignVerdict, predicate: Predicate) -> Iterator[str]:
+    if header.config.specifications:
+        yield "The specification is all requirements together: its margin is the least of theirs, whatever their units."
     if count := violation_words(verdict):
         yield typeset(one_line(count))
     units = {each.name: each.unit for each in header.spec.parameters}
@@ -312,7 +335,7 @@ def _unchecked(header: Header, predicate: Predicate, lines: Sequence[Check], *, 
     assumed = sum(each.status == "assumed" for each in predicate.assumptions)
     if assumed:
         verb = "assumption is" if assumed == 1 else "assumptions are"
-        yield f"{assumed} {verb} tested by no data of the campaign: those with the status `assumed`."
+        yield f"{assumed} {verb} tested by no data of the campaign: those with the status assumed."
     if predicate.spot_check is None and not is_sampled(claim.quantity):
         yield "Whether the bounds hold at fresh starts: the campaign has no spot check."
     if predicate.recheck is None:
@@ -347,11 +370,11 @@ def _evidence(header: Header, predicate: Predicate, sha256: str) -> Iterator[Nam
 
 def _verification(lines: Sequence[Check]) -> str:
     made = [each for each in lines if each.name not in OF_READER]
-    passed, skipped = (sum(each.status == status for each in made) for status in ("passed", "skipped"))
-    return (
-        f"perfbound verify decided the campaign again from its trajectories: {counted(passed, 'check')} passed, "
-        f"{skipped} skipped, none failed. That is: the certificate follows from the recorded rollouts"
-    )
+    passed, skipped = ([each.name for each in made if each.status == status] for status in ("passed", "skipped"))
+    without = f"; skipped, because there was nothing to check or it was impossible: {', '.join(skipped)}"
+    made_of = "perfbound verify decided the campaign again from its trajectories"
+    result = f"{counted(len(passed), 'check')} passed, none failed{without if skipped else ''}"
+    return f"{made_of}: {result}. That is: as far as checked, the certificate follows from the recorded rollouts"
 
 
 def _signed(directory: Path, keys: Sequence[Path]) -> list[str]:

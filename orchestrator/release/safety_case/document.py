@@ -164,7 +164,9 @@ def _pages(case: SafetyCase, form: _Form) -> list[Figure]:
     flow.space(0.3)
     flow.paragraph(
         "The margin, or robustness, of a simulated run is by how much it meets its specification: below 0 it violates "
-        "it. The numbers of the claims are those of the certificate, rounded to the safe side."
+        "it. The numbers of the claims are those of the certificate, rounded to the safe side; their probability is "
+        "over the chance in the rollouts of the campaign. This is evidence from simulation, one part of an assessment: "
+        "hazards, and what was not simulated, are not its subject."
     )
     flow.heading("1  What is claimed")
     _table(flow, case.requirements, most)
@@ -185,7 +187,8 @@ def _pages(case: SafetyCase, form: _Form) -> list[Figure]:
     flow.heading("3  What it rests on, and who must judge it")
     flow.paragraph(
         "Refuted: the data contradict it. Assumed: no data of the campaign test it. Not refuted: the data test it, and "
-        "do not contradict it. Derived: it follows from the method. A1, A2 and so on are those of the drawing."
+        "do not contradict it. Derived: it follows from the method. A claim counts all on which it rests as its "
+        "assumptions, the derived ones too. A1, A2 and so on are those of the drawing."
     )
     for status in STATUSES:
         for number, found in enumerate(case.with_status(status)[:most], 1):

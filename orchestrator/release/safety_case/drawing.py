@@ -15,7 +15,7 @@ from matplotlib.patches import Ellipse, FancyArrowPatch, FancyBboxPatch, Polygon
 from ...report.style import BLUE, GREY, RED
 from .argument import Element, Kind
 
-WIDTH = 18.0
+WIDTH = 20.0
 """Inches of a drawing, before a page scales it."""
 LETTERS = 0.077
 """Inches of a letter, on average, at `SIZE`."""
@@ -36,7 +36,7 @@ FILL: dict[Kind, str] = {
     "A": "#fdf6e7",
     "J": "#f6f6f6",
 }
-LEFT = 10.4
+LEFT = 12.4
 """Inches of the argument; assumptions are on its right."""
 
 
@@ -147,7 +147,7 @@ def _box(element: Element, x: float, y: float, width: float) -> Box:
     # Of an ellipse the corners are no place for text, of a parallelogram its ends are none.
     room = width * (0.72 if element.kind in ("Sn", "A", "J") else 0.86) - 2 * PAD
     head, *rest = f"{element.id}  {element.text}".split("\n")
-    letters = max(int(room / LETTERS), 12)
+    letters = max(int(room / LETTERS), 13)
     # Ids are long words: they are divided behind a line or a stroke.
     parts = (re.sub(rf"\S{{{letters},}}", _divided, part) for part in (head, *rest))
     lines = [line for part in parts for line in textwrap.wrap(part, letters)]
@@ -226,6 +226,7 @@ def _around(axes: Axes, boxes: Mapping[str, Box]) -> None:
     dashed: dict[str, Any] = {"edgecolor": BLUE, "linestyle": (0, (4, 3)), "linewidth": THIN, "zorder": 1}
     axes.add_patch(Rectangle((LEFT, y), WIDTH - LEFT - GAP / 2, bottom - y, facecolor="none", **dashed))
     strategy = boxes["S1"]
-    start = strategy.x + strategy.width / 2, strategy.y + strategy.height / 2
+    start = strategy.x + (1 - SLANT) * strategy.width / 2, strategy.y + strategy.height / 2
     end = LEFT, start[1]
-    axes.add_patch(FancyArrowPatch(start, end, arrowstyle="->", mutation_scale=11, color=BLUE, linewidth=THIN))
+    style: dict[str, Any] = {"arrowstyle": "->", "mutation_scale": 11, "shrinkA": 0, "shrinkB": 0}
+    axes.add_patch(FancyArrowPatch(start, end, color=BLUE, linewidth=THIN, **style))

@@ -2,14 +2,14 @@
 
 from collections.abc import Mapping
 
-SIMULATOR = "who wrote the simulator"
+SIMULATOR = "an expert for the simulator"
 VALIDATION = "who compares the simulator with the real system"
-OPERATION = "who knows the operation"
-CONSTANTS = "who chose the constants of the kernel"
-PLAN = "who planned the campaign"
-WORKERS = "who runs the workers"
-TESTS = "who made the tests and their logs"
-METHOD = "who checks the method: it is derived in the theory"
+OPERATION = "an expert for the operation"
+CONSTANTS = "an expert for the constants of the kernel"
+PLAN = "who can see how the campaign was planned"
+WORKERS = "who can inspect the machines of the workers"
+TESTS = "who can see how tests and logs were made"
+METHOD = "an expert for the method, which the theory derives"
 
 BY_JUDGE: Mapping[str, tuple[str, ...]] = {
     SIMULATOR: (
@@ -63,9 +63,9 @@ def judge_of(name: str, form: str | None = None) -> str:
     """Return who can judge an assumption, by its id and its form.
 
     >>> judge_of("rkhs_norm/robustness"), judge_of("extended_1/robustness")
-    ('who chose the constants of the kernel', 'who planned the campaign')
+    ('an expert for the constants of the kernel', 'who can see how the campaign was planned')
     """
     first = name.partition("/")[0]
     numbered, _, number = first.rpartition("_")
     found = _JUDGES.get(numbered if number.isdigit() else first)
-    return OF_FORMS.get(form or "") or found or "who knows the system"
+    return OF_FORMS.get(form or "") or found or "an expert for the system"

@@ -27,9 +27,11 @@ def test_the_question_names_what_must_be_at_least_what() -> None:
     assert clipped in question_words(HEADER, "expected_robustness")
     assert question_words(HEADER, "robustness", 25).startswith("From each of the 25 listed starts, the margin")
     drawn = question_words(HEADER, "failure_probability")
-    assert drawn.startswith("At starts that are drawn as declared, how probable it is that a rollout violates the specification; ")
+    assert drawn.startswith(
+        "At starts that are drawn as declared, how probable it is that a rollout violates the specification; "
+    )
     search = Header.new(config("segway-scenario", falsify={}), HEADER.spec, {})
-    assert question_words(search, "failure_probability").startswith("Whether some rollout violates it")
+    assert question_words(search, "failure_probability").startswith("Whether some rollout violates the specification")
     assert question_words(HEADER, "J_star") == ""
 
 
