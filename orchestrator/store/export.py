@@ -22,7 +22,17 @@ from .rows import DATABASE
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["TABLES", "counterexamples", "csv_rows", "export", "stream", "table_array", "table_rows", "whole"]
+__all__ = [
+    "TABLES",
+    "counterexamples",
+    "csv_rows",
+    "export",
+    "stream",
+    "table_array",
+    "table_rows",
+    "text_of_cell",
+    "whole",
+]
 
 Format = Literal["csv", "parquet"]
 DEFAULT = "export"
@@ -162,6 +172,15 @@ def _column_title(column: ExportColumn) -> str:
 def _cell(value: Value) -> Value:
     """Return the content of the cell: an untrusted text (a worker's name) must not become a formula."""
     return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA) else value
+
+
+def text_of_cell(cell: str) -> str:
+    """Return the text that `csv_rows` has made a cell of.
+
+    >>> text_of_cell("'-x >= 0"), text_of_cell("x >= 0")
+    ('-x >= 0', 'x >= 0')
+    """
+    return cell[1:] if cell.startswith("'") and cell[1:].startswith(FORMULA) else cell
 
 
 def _parquet(out: IO[bytes], table: ExportTable, found: Iterable[Row], header: Header) -> int:

@@ -14,7 +14,7 @@ from ...campaign.starts import of_space
 from ...mathematics.gp.kernels import Floats
 from ...mathematics.linkage import linked, unit_points
 from ...report.rollout.load import load_recorded
-from ...store.robustness import read_values
+from ...store.robustness import read_values, read_violations
 from .outcome import Judge, Outcome
 
 MOST_ROLLOUTS = 1000
@@ -55,10 +55,9 @@ def failures_of(directory: Path, header: Header, judge: Judge, report: Callable[
         EvidenceError: a trajectory is missing or damaged.
 
     """
-    found = list(_failing(directory, header))
-    if not found:
+    worst = heapq.nsmallest(MOST_ROLLOUTS, _failing(directory, header))  # a campaign may have a million of them
+    if not worst:
         raise PerfboundError(f"{directory}: no rollout violates the specification; there is nothing to export")
-    worst = heapq.nsmallest(MOST_ROLLOUTS, found)
     names = len(header.spec.own_parameters)
     points = _in_unit_cube(header, np.array([np.frombuffer(start) for _, _, start in worst])[:, :names])
     near = dict[int, list[RolloutId]]()
@@ -70,7 +69,10 @@ def failures_of(directory: Path, header: Header, judge: Judge, report: Callable[
         groups += alike(header, [_read(directory, each, judge) for each in rollouts])
         read += len(rollouts)
         report(read, sum(map(len, wanted)))
-    return Failures(len(found), tuple(sorted(groups, key=lambda each: each[0].outcome.robustness)))
+    return Failures(
+        read_violations(directory, header.claimed_variant).violations,
+        tuple(sorted(groups, key=lambda each: each[0].outcome.robustness)),
+    )
 
 
 def alike(header: Header, failures: Sequence[Failure]) -> list[tuple[Failure, ...]]:

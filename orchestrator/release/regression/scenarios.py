@@ -24,7 +24,7 @@ from ....schemas.number_text import number_in
 from ....schemas.outside import read_outside
 from ....schemas.result.facts import Header
 from ....schemas.system import SystemSpec, Variant
-from ...store.export import csv_rows
+from ...store.export import csv_rows, text_of_cell
 from ...store.export_tables import ExportColumn, declared_columns, robustness_unit
 from .failures import Failure
 from .outcome import Outcome
@@ -123,7 +123,7 @@ def _scenario(cells: Mapping[str, str], numbers: Sequence[str]) -> Scenario:
         numbers={name: number_in(cells[name]) for name in numbers if cells[name]},
         outcome=Outcome(
             number_in(cells["robustness"]),
-            tuple(filter(None, cells["violated"].split(BETWEEN))),
+            tuple(filter(None, text_of_cell(cells["violated"]).split(BETWEEN))),
             number_in(cells["moment"]) if cells["moment"] else None,
         ),
         rollout=cells["rollout"],

@@ -224,6 +224,13 @@ def test_the_table_reads_back_and_another_tool_reads_it(run: Path, header: Heade
         assert each.rollout == str(before.rollout)
 
 
+def test_a_formula_that_begins_as_one_of_a_spreadsheet_reads_back(header: Header, tmp_path: Path) -> None:
+    path = tmp_path / "scenarios.csv"
+    for violated in ("-value >= 0", "value >= 0; -force >= 0"):
+        path.write_bytes(scenario_table(header, [("1-worst", failure((0.5, 0.5), None, violated))]))
+        assert read_scenarios(path)["1-worst"].outcome.violated == tuple(violated.split("; "))
+
+
 @pytest.mark.parametrize(
     ("change", "text"),
     [
