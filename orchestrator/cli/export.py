@@ -8,7 +8,7 @@ from typing import Any, Literal
 import click
 
 from ...schemas.amounts import counted
-from ...schemas.errors import meant
+from ...schemas.errors import PerfboundError, meant
 from ...schemas.number_text import number_in
 from .early import check_directory
 from .group import RUN_DIRECTORY, cli, output_console
@@ -58,7 +58,9 @@ def _nominal(_context: click.Context, _parameter: click.Parameter, given: tuple[
     "--campaign", type=FILE, default=None, help="With --regression: its system is replayed, with its options."
 )
 @click.option(
-    "--kinds", type=click.IntRange(1, 1000), help="With --regression: kinds of failures, at most.  [default: 10]"
+    "--groups",
+    type=click.IntRange(1, 1000),
+    help="With --regression: groups of near failures, at most, those with the worst ones.  [default: 10]",
 )
 @click.option(
     "--tests",
@@ -128,7 +130,7 @@ def export(
     if regression is not None or any(options.values()):
         if regression is None or tables or rollouts or batches or out or form != "csv":
             raise click.UsageError(
-                "--campaign, --kinds, --tests and --nominal are for --regression, which takes no TABLES and no other "
+                "--campaign, --groups, --tests and --nominal are for --regression, which takes no TABLES and no other "
                 "option"
             )
         _export_regression(directory, regression, **options)
@@ -181,7 +183,7 @@ def _export_regression(
     folder: Path,
     *,
     campaign: Path | None,
-    kinds: int | None,
+    groups: int | None,
     tests: int | None,
     nominal: dict[str, float],
 ) -> None:
@@ -192,7 +194,7 @@ def _export_regression(
 
     if campaign is None:
         raise click.UsageError("--regression needs --campaign FILE: the tests replay its system, with its options")
-    wanted = Wanted(campaign, kinds or 10, 60 if tests is None else tests, nominal)
+    wanted = Wanted(campaign, groups or 10, 60 if tests is None else tests, nominal)
     with Progress(console=STDERR.console, transient=True, disable=not sys.stderr.isatty()) as progress:
         lines = export_regression(directory, folder, wanted, stage_bars(progress))
     for line in lines:
@@ -211,6 +213,7 @@ def _export_case(
     from rich.progress import Progress  # noqa: PLC0415
     from rich.text import Text  # noqa: PLC0415
 
+    from ..certificate.signing.sign import unsigned  # noqa: PLC0415
     from ..certificate.verify.run import verify_certificate  # noqa: PLC0415
     from ..certificate.verify.stages import stage_bars  # noqa: PLC0415
     from ..certificate.words.console_lines import hanging  # noqa: PLC0415
@@ -221,6 +224,9 @@ def _export_case(
     from ..store.export import whole  # noqa: PLC0415
 
     key = None if sign is None else load_key(sign)
+    if key is not None and (fault := unsigned(directory, key.public_key())):
+        signed = f"perfbound sign {shlex.quote(str(directory))} --key {shlex.quote(str(sign))}"
+        raise PerfboundError(f"{directory}: not signed by the key of --sign: {fault}; first: {signed}")
     finished_certificate(directory)  # else the verification would say that there is nothing to verify
     with Progress(console=STDERR.console, transient=True, disable=not sys.stderr.isatty()) as progress:
         report = stage_bars(progress)

@@ -43,10 +43,12 @@ def _conclusion(found: Verification) -> str:
     signed = signature is not None and signature.status == "passed"
     record = found.checks.found.get("attempts")
     missing = [] if signed else ["the signature"]
+    if "bundle" in found.checks.found and not signed:
+        missing.append("the report")
     missing += ["the record of attempts"] if record is not None and record.status == "skipped" else []
     rollouts = found.checks.found.get("files")
     if rollouts is not None and rollouts.status == "skipped":
-        missing = [*missing[: 0 if signed else 1], "what follows from the trajectories, which are not here,"]
+        missing = [*([] if signed else missing[:2]), "what follows from the trajectories, which are not here,"]
     unchecked = f" ({' and '.join(missing)} {'was' if len(missing) == 1 else 'were'} not checked)" if missing else ""
     verdict = f"VERIFIED{unchecked}" if good else "NOT VERIFIED"
     total = ", ".join(f"{count} {status}" for status, count in counts.items() if count)

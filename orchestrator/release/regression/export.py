@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from pathlib import Path
 from ....schemas.amounts import counted, some_of
 from ....schemas.errors import CampaignError, PerfboundError, meant
 from ....schemas.file.reader import load_campaign
+from ....schemas.requests import RequestTemplate
 from ....schemas.result.facts import Header
 from ....schemas.system import differences
 from ...certificate.verify.stages import Report
@@ -29,7 +31,8 @@ from .scenarios import scenario_table
 TESTS_FILE = '''"""Failing rollouts of the campaign {campaign!r}; written by `perfbound export --regression`.
 
 A test passes where its scenario meets the specification now, and else says whether it fails as in the campaign or
-otherwise. `1-worst` is the worst failure of the first group, `1-nearest` the one that is next to starts that pass.
+otherwise. `1-worst` is the worst failure of the first kind, `1-nearest` the nearest one to the nominal start of it
+that was found. The system and its options are those of the campaign file when the tests run.
 """
 
 from pathlib import Path
@@ -42,6 +45,7 @@ SCENARIOS = pb.Scenarios(
     HERE / {table},
     campaign=HERE / {file},
     specification={specification},
+    horizon={horizon!r},
 )
 
 
@@ -59,8 +63,8 @@ class Wanted:
 
     campaign: Path
     """The campaign file whose system the tests replay."""
-    kinds: int
-    """Of failures, at most: those with the worst ones."""
+    groups: int
+    """Of near failures, at most: those with the worst ones."""
     tests: int
     """Rollouts with which each is moved, at most."""
     nominal: Mapping[str, float]
@@ -89,7 +93,7 @@ def export_regression(directory: Path, folder: Path, wanted: Wanted, report: Rep
     movable = Movable(header, _checked(header, wanted.nominal))
     judge = Judge(specification, header.spec, header.config.beyond)
     found = failures_of(directory, header, judge, partial(report, "failures read"))
-    worst, most = [group[0] for group in found.groups[: wanted.kinds]], wanted.tests * wanted.kinds
+    worst, most = [group[0] for group in found.groups[: wanted.groups]], wanted.tests * wanted.groups
     moved = minimised(
         worst,
         movable,
@@ -104,15 +108,17 @@ def export_regression(directory: Path, folder: Path, wanted: Wanted, report: Rep
         for what, failure in (("worst", kind.worst), ("nearest", kind.nearest))
         if what == "worst" or failure != kind.worst
     ]
-    name = header.config.name.replace("-", "_")
+    # Not by the campaign: several runs of it may have tests beside each other.
+    name = re.sub(r"\W+", "_", directory.resolve().name, flags=re.ASCII)
     table, tests = folder / f"{name}_failures.csv", folder / f"test_{name}_failures.py"
     with whole(directory, [table, tests]) as (rows, text):
         rows.write(scenario_table(header, named))
         text.write(_tests_file(header, table, wanted.campaign, specification).encode())
-    left, all_of_them = len(found.groups) - len(worst), f"--kinds {len(found.groups)} takes all"
+    left, every = len(found.groups) - len(worst), f"--groups {len(found.groups)} looks at all"
     return [
-        *_lines(directory, header, found, kinds),
-        *([f"{counted(left, 'group')} of milder failures left out: {all_of_them}"] if left else []),
+        *_lines(directory, header, found, kinds, movable),
+        *([f"{counted(left, 'group')} of near failures left out, the milder ones: {every}"] if left else []),
+        *differing_options(header, wanted.campaign),
         f"{table}  {counted(len(named), 'scenario')}",
         f"{tests}  to run it: pytest {shlex.quote(str(tests))}",
     ]
@@ -181,6 +187,7 @@ def _tests_file(header: Header, table: Path, campaign: Path, specification: Spec
         table=_quoted(table.name),
         file=_quoted(os.path.relpath(campaign.absolute(), table.parent.absolute())),
         specification=_literal(specification),
+        horizon=header.config.horizon,
     )
 
 
@@ -196,7 +203,19 @@ def _quoted(text: str) -> str:
     return json.dumps(text, ensure_ascii=False)
 
 
-def _lines(directory: Path, header: Header, found: Failures, kinds: Sequence[Kind]) -> list[str]:
+def differing_options(header: Header, campaign: Path) -> list[str]:
+    """Return a line on the options in which the campaign file differs from the run."""
+    config = load_campaign(campaign)
+    there = RequestTemplate.of(header.spec, config.system.options, horizon=config.horizon, visual=False).options
+    unlike = [
+        f"{name} = {there[name]}, and {value} in the run"
+        for name, value in header.template.options.items()
+        if there.get(name) != value
+    ]
+    return [f"{campaign} has {'; '.join(unlike)}: the tests replay what is in the file"] if unlike else []
+
+
+def _lines(directory: Path, header: Header, found: Failures, kinds: Sequence[Kind], movable: Movable) -> list[str]:
     """Return a line on the failures, and two on each kind."""
     rollouts = counted(found.rollouts, "rollout")
     verb = "violates" if found.rollouts == 1 else "violate"
@@ -206,7 +225,9 @@ def _lines(directory: Path, header: Header, found: Failures, kinds: Sequence[Kin
         outcome = kind.worst.outcome
         what = some_of(list(outcome.violated))
         lines.append(f"{number}  {what}: worst robustness {margin_words(outcome.robustness, unit)}{at(outcome.moment)}")
-        lines.append(f"   nearest {_start_words(header, kind.nearest)}, {_of(kind.nearest, unit)}")
+        if kind.nearest != kind.worst:
+            where = "the nominal start itself, " if movable.is_nominal(kind.nearest) else ""
+            lines.append(f"   nearest {where}{_start_words(header, kind.nearest)}, {_of(kind.nearest, unit)}")
     return lines
 
 

@@ -22,7 +22,7 @@ from ...fleet.children.rollouts import ChildRolloutError, ChildSystem, finished,
 from ...mathematics.search.nearest import nearest_tests
 from ...mathematics.search.simplest import Group, Point
 from .failures import Failure
-from .outcome import Judge, Outcome
+from .outcome import Judge, Outcome, same_moment
 
 Simulate = Callable[[Sequence[RolloutRequest]], Sequence[Outcome | None]]
 """Returns what rollouts show; None of one that gives no trajectory."""
@@ -40,7 +40,7 @@ class Movable:
         spec, space, config = header.spec, of_space(header), header.config
         self._template, self._spec, self._space = replace(header.template, visual=False), spec, space
         self._region = condition(config.where, [each.name for each in spec.parameters])
-        self._numbers = len(spec.parameters)
+        self._numbers, self.horizon = len(spec.parameters), config.horizon
         names = [each.name for each in spec.parameters]
         start = [nominal.get(name, value) for name, value in zip(names, nominal_start(header), strict=True)]
         low, high = space.box
@@ -56,6 +56,10 @@ class Movable:
         if not failure.disturbances:
             return (*failure.x, *self.nominal[self._numbers :])
         return (*failure.x, *self._template.scores([failure.seed])[0].tolist())
+
+    def is_nominal(self, failure: Failure) -> bool:
+        """Whether the start of a failure is the nominal one."""
+        return failure.x == self.nominal[: self._numbers]
 
     def allowed(self, point: Point) -> Point | None:
         """Return the nearest point that the campaign allows; None outside of its region."""
@@ -136,8 +140,7 @@ class _Descent:
     def take(self, outcome: Outcome | None) -> None:
         """Take what the next rollout shows, None for one without a trajectory, and choose the one after it."""
         assert self.next is not None
-        # Another requirement that is violated is another failure.
-        fails = outcome is not None and outcome.fails and outcome.violated == self._failure.outcome.violated
+        fails = outcome is not None and outcome.fails and self._is_same(outcome)
         if outcome is not None and fails:
             request = self.request
             x = request.start or request.x
@@ -146,6 +149,11 @@ class _Descent:
         self._left -= 1
         following = self._allowed(self._sent(fails=fails))
         self.next = following if self._left > 0 else None
+
+    def _is_same(self, outcome: Outcome) -> bool:
+        """Whether this is the failure that is moved: another requirement or another moment is another one."""
+        before = self.best.outcome
+        return outcome.violated == before.violated and same_moment(before, outcome, self._movable.horizon)
 
     def _allowed(self, point: Point | None) -> Point | None:
         """Return the first point from here on that has to be simulated."""

@@ -1,5 +1,6 @@
 """What a rollout shows of a specification: its robustness, what it violates, and when."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -12,6 +13,8 @@ from ...mathematics.stl.over_time import worst_moment
 from ...mathematics.stl.parser import Formula, parse_formula
 from ...mathematics.stl.text import text
 
+SAME_MOMENT = 0.1
+"""Of the horizon: a failure that is further away in time is another one."""
 Specification = str | Mapping[str, str]
 """A formula, or the formula of each requirement by its name."""
 
@@ -73,6 +76,12 @@ class Judge:
 
     def _robustness(self, formula: Formula, trajectory: Trajectory) -> float:
         return scored(formula, trajectory, self._after_end, self._beyond).robustness
+
+
+def same_moment(one: Outcome, other: Outcome, horizon: float) -> bool:
+    """Whether two failures are at about the same time; one without a moment is like none that has one."""
+    moments = [math.inf if each.moment is None else each.moment for each in (one, other)]
+    return moments[0] == moments[1] or abs(moments[1] - moments[0]) <= SAME_MOMENT * horizon
 
 
 def at(moment: float | None) -> str:

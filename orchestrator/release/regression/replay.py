@@ -24,11 +24,9 @@ from ...fleet.children.simulate import simulate_to
 from ...run.session import system_of
 from ...store.export_tables import robustness_unit
 from .minimise import NAME
-from .outcome import Judge, Outcome, Specification, at
+from .outcome import Judge, Outcome, Specification, at, same_moment
 from .scenarios import Scenario, read_scenarios, scenario_columns
 
-SAME_MOMENT = 0.1
-"""Of the horizon: a failure that is further from the recorded one is another one."""
 State = Literal["fixed", "still failing", "changed"]
 
 
@@ -63,16 +61,18 @@ class _ChangedError(Exception):
 class Scenarios:
     """The scenarios of a table of `perfbound export --regression`, and the system of a campaign file that replays them.
 
-    `specification` is a formula, or that of each requirement by its name. Options and horizon are those of the campaign
-    file now.
+    `specification` is a formula, or that of each requirement by its name, and `horizon` is in s. The options of the
+    system are those of the campaign file now.
 
     Raises:
         PerfboundError: the table or the campaign file cannot be read, or the system is missing.
 
     """
 
-    def __init__(self, table: str | Path, *, campaign: str | Path, specification: Specification) -> None:
-        self._campaign, self._specification = Path(campaign), specification
+    def __init__(
+        self, table: str | Path, *, campaign: str | Path, specification: Specification, horizon: float
+    ) -> None:
+        self._campaign, self._specification, self._horizon = Path(campaign), specification, horizon
         self._scenarios = read_scenarios(Path(table))
 
     @property
@@ -94,9 +94,7 @@ class Scenarios:
             found = judge.outcome(self._simulated(request))
         except (_ChangedError, ValueError) as reason:
             return Replay(name, "changed", str(reason))
-        state, words = compared(
-            scenario.outcome, found, self._config.horizon, robustness_unit(self._config, self._spec)
-        )
+        state, words = compared(scenario.outcome, found, self._horizon, robustness_unit(self._config, self._spec))
         return Replay(name, state, words, found.robustness, self._command(request, f"{name}.png"))
 
     def __iter__(self) -> Iterator[Replay]:
@@ -120,21 +118,29 @@ class Scenarios:
     def _command(self, request: RolloutRequest, picture: str) -> str:
         drawn = zip(self._spec.disturbances, request.disturbances, strict=bool(request.disturbances))
         options = [f"--x={','.join(map(repr, request.x))}", f"--variant={request.variant}", f"--seed={request.seed}"]
+        options += [f"--horizon={self._horizon!r}"]
         options += [f"--disturbance={law.name}={value!r}" for law, value in drawn]
         return shlex.join(["perfbound", "simulate", str(self._campaign), *options, f"--plot={picture}"])
 
     def _request(self, scenario: Scenario) -> RolloutRequest:
         """Return the request for a scenario."""
-        starts, drawn = ([each.name for each in columns] for columns in scenario_columns(self._spec))
-        template = RequestTemplate.of(
-            self._spec, self._config.system.options, horizon=self._config.horizon, visual=False
-        )
+        columns = scenario_columns(self._spec)
+        starts, drawn = ([each.name for each in some] for some in columns)
+        options = self._config.system.options
+        template = RequestTemplate.of(self._spec, options, horizon=self._horizon, visual=False)
         values = template.disturbances(scenario.variant, [()], [scenario.seed])
         given = [*starts, *(drawn if values else ())]
         if set(given) != scenario.numbers.keys():
             more, less = set(given) - scenario.numbers.keys(), scenario.numbers.keys() - set(given)
             differing = [f"takes {name}" for name in sorted(more)] + [f"has no {name}" for name in sorted(less)]
             raise _ChangedError(f"{self._spec.name} {' and '.join(differing)}, unlike this scenario")
+        for column in (each for some in columns for each in some if each.name in given):
+            if column.unit != (unit := scenario.units[column.name]):
+                raise _ChangedError(f"{column.name} is in {column.unit or '1'} now, and was in {unit or '1'}")
+        for law, name in zip(self._spec.disturbances, drawn, strict=True):
+            ends = (-math.inf if law.low is None else law.low, math.inf if law.high is None else law.high)
+            if name in given and not ends[0] <= scenario.numbers[name] <= ends[1]:
+                raise _ChangedError(f"{name} = {scenario.numbers[name]:g} is outside of its law: {law.words}")
         for parameter, name in zip(self._spec.own_parameters, starts, strict=True):
             if not parameter.low <= scenario.numbers[name] <= parameter.high:
                 allowed = f"[{parameter.low:g}, {parameter.high:g}] {parameter.unit}"
@@ -170,7 +176,6 @@ def compared(before: Outcome, now: Outcome, horizon: float, unit: str) -> tuple[
             "changed",
             f"violates {' and '.join(now.violated)}, with {margin}; before {' and '.join(before.violated)}",
         )
-    moments = [math.inf if each.moment is None else each.moment for each in (before, now)]
-    if moments[0] != moments[1] and not abs(moments[1] - moments[0]) <= SAME_MOMENT * horizon:
+    if not same_moment(before, now, horizon):
         return "changed", f"fails at another moment: {margin}; {was}"
-    return "still failing", f"{margin}; {was}"
+    return "still failing", f"violates {' and '.join(now.violated)} with {margin}; {was}"

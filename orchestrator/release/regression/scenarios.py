@@ -45,6 +45,8 @@ class Scenario:
     seed: int
     numbers: Mapping[str, float]
     """Parameters of the start and disturbances, by the names of their columns."""
+    units: Mapping[str, str]
+    """Of these columns."""
     outcome: Outcome
     """In the campaign."""
     rollout: str
@@ -87,7 +89,7 @@ def read_scenarios(path: Path) -> dict[str, Scenario]:
 
     """
     try:
-        text = read_outside(path, MOST_BYTES).decode()
+        text = read_outside(path, MOST_BYTES).decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise PerfboundError(f"{path}: cannot be read ({error}); export it again") from None
     found = dict[str, Scenario]()
@@ -108,12 +110,16 @@ def _scenarios(path: Path, rows: "csv.DictReader[str]") -> Iterator[Scenario]:
     for row in rows:
         cells = {name: row[title] or "" for name, title in titles.items()}
         try:
-            yield _scenario(cells, numbers)
+            yield _scenario(cells, {name: _unit(titles[name]) for name in numbers})
         except ValueError as error:
             raise PerfboundError(f"{path}, line {rows.line_num}: {error}; export it again") from None
 
 
-def _scenario(cells: Mapping[str, str], numbers: Sequence[str]) -> Scenario:
+def _unit(title: str) -> str:
+    return title.partition(" (")[2].removesuffix(")")
+
+
+def _scenario(cells: Mapping[str, str], numbers: Mapping[str, str]) -> Scenario:
     if cells["variant"] not in ("nominal", "true"):
         raise ValueError(f"there is no variant {cells['variant']!r}")
     return Scenario(
@@ -121,6 +127,7 @@ def _scenario(cells: Mapping[str, str], numbers: Sequence[str]) -> Scenario:
         variant="true" if cells["variant"] == "true" else "nominal",
         seed=int(cells["seed"]),
         numbers={name: number_in(cells[name]) for name in numbers if cells[name]},
+        units=dict(numbers),
         outcome=Outcome(
             number_in(cells["robustness"]),
             tuple(filter(None, text_of_cell(cells["violated"]).split(BETWEEN))),

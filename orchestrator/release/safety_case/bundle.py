@@ -26,7 +26,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from ....schemas import __version__
 from ....schemas.amounts import counted
-from ....schemas.errors import one_line
+from ....schemas.errors import EvidenceError, one_line
 from ....schemas.result.certificate import STATEMENT_TYPE
 from ...certificate import files
 from ...certificate.signing.keys import load_public
@@ -53,7 +53,6 @@ OF_RUN = (
     files.ATTEMPTS,
     files.ATTEMPTS_ENVELOPE,
     "report.html",
-    "counterexamples.csv",
 )
 MAX_LIST = 2**28
 """Bytes; a trajectory takes 150 of a list."""
@@ -166,8 +165,16 @@ def _trajectories(directory: Path) -> list[str]:
 
 
 def is_bundle(path: Path) -> bool:
-    """Whether a path is a zip file."""
-    return path.is_file() and zipfile.is_zipfile(path)
+    """Whether a path is a zip file.
+
+    Raises:
+        EvidenceError: by its name it is one, and its content is another.
+
+    """
+    found = path.is_file() and zipfile.is_zipfile(path)
+    if path.suffix == ".zip" and not found:
+        raise EvidenceError(f"{path}: no zip file, or one that was cut off; get the bundle again")
+    return found
 
 
 def verify_bundle(path: Path, *, key: Path | None, again: int, report: Report, system: str | None) -> Verification:
@@ -262,13 +269,9 @@ def _parsed(statement: bytes) -> tuple[dict[str, str], dict[str, Any]]:
     for name in listed:
         parts = PurePosixPath(name).parts
         # Nothing is written outside of the folder, whatever the names are.
-        if (
-            name != "/".join(parts)
-            or not parts
-            or parts[0] not in (RUN, CASE, SIGNERS)
-            or ".." in parts
-            or "\\" in name
-        ):
+        of_run = parts[:1] == (RUN,) and parts[1:2] in [(each,) for each in (*OF_RUN, DATABASE, FOLDER, DISCARDED)]
+        plain = name == "/".join(parts) and ".." not in parts and "\\" not in name
+        if not (plain and (of_run or parts[:1] in ((CASE,), (SIGNERS,)))):
             raise CheckFailed("bundle", f"{one_line(name)!r} is no path of a bundle")
     predicate: dict[str, Any] = dict(found["predicate"])
     return listed, predicate
@@ -304,6 +307,8 @@ def _documents(place: Path, found: Verification, predicate: Mapping[str, Any]) -
     case = safety_case(place / RUN, sorted((place / SIGNERS).glob("*.pub")), found.certificate, lines)
     for name, data in case_files(case).items():
         path = place / CASE / name
-        if not path.is_file() or path.read_bytes() != data:
+        if not path.is_file():
+            raise CheckFailed("documents", f"{name} is missing")
+        if path.read_bytes() != data:
             raise CheckFailed("documents", f"{name} is not the one that follows from the certificate")
     found.checks.passed("documents", f"{case.verdict}; the report is the one of the list, and was not made again")

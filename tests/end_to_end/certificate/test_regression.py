@@ -35,7 +35,7 @@ def test_exported_tests_fail_on_the_bad_controller_and_pass_on_the_mended_one(st
     assert started.run("perfbound", "run", "cars.toml").code == 0
     line = ("perfbound", "export", "runs/cars", "--regression", "regression")
     assert started.run(*line).code == 2, "without a campaign file"
-    exported = started.run(*line, "--campaign", "cars.toml", "--kinds", "2")
+    exported = started.run(*line, "--campaign", "cars.toml", "--groups", "2")
     assert exported.code == 0, exported.err
     assert re.search(r"runs/cars: \d+ rollouts violate the specification; \d kinds? of failure", exported.out)
     rows = list(csv.DictReader((started.folder / "regression" / "cars_failures.csv").read_text().splitlines()))
@@ -46,7 +46,7 @@ def test_exported_tests_fail_on_the_bad_controller_and_pass_on_the_mended_one(st
     failing = outcome(started)
     assert failing.code == 1
     assert f"{len(rows)} failed" in failing.out
-    assert "1-worst: still failing: robustness -" in failing.out
+    assert "1-worst: still failing: violates always distance >= 2 with robustness -" in failing.out
     draw = re.search(r"draw it: (perfbound simulate .*)", failing.out)
     assert draw
     drawn = started.run(*shlex.split(draw[1]))
@@ -71,6 +71,12 @@ def test_exported_tests_fail_on_the_bad_controller_and_pass_on_the_mended_one(st
     (started.folder / "cars.py").write_text(bad.replace("(5, 60", "(49, 60"))
     narrower = outcome(started, "-k", "1-worst")
     assert re.search(r"1-worst: changed: gap = \S+ is not in \[49, 60\] m", narrower.out)
+    (started.folder / "cars.py").write_text(
+        bad.replace("    t = np", "    raise RuntimeError('sensor lost')\n    t = np")
+    )
+    (started.folder / "cars.py").write_text(bad.replace('(5, 60, unit="m")', '(5, 60, unit="km")'))
+    in_km = outcome(started, "-k", "1-worst")
+    assert "1-worst: changed: gap is in km now, and was in m" in in_km.out
     (started.folder / "cars.py").write_text(
         bad.replace("    t = np", "    raise RuntimeError('sensor lost')\n    t = np")
     )

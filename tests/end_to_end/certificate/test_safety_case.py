@@ -15,12 +15,16 @@ SAMPLE = Path(__file__).parents[2] / "fixtures" / "finished" / "sample"
 def test_a_bundle_verifies_on_another_machine_and_a_changed_one_does_not(started: Processes) -> None:
     shutil.copytree(SAMPLE, started.folder / "run")
     assert started.run("perfbound", "keygen", "alice", "--out", ".").code == 0
+    assert started.run("perfbound", "keygen", "bob", "--out", ".").code == 0
     unsigned = started.run("perfbound", "export", "run", "--safety-case", "case", "--key", "alice.pub")
     assert unsigned.code == 1
     assert "no signature by alice.pub: it is not signed" in unsigned.err
     assert not (started.folder / "case").exists()
     assert started.run("perfbound", "sign", "run", "--key", "alice.key").code == 0
     line = ("perfbound", "export", "run", "--key", "alice.pub")
+    other = started.run(*line, "--bundle", "run.zip", "--sign", "bob.key")
+    assert other.code == 1
+    assert "not signed by the key of --sign: no signature by key" in other.err
     made = started.run(*line, "--safety-case", "case", "--bundle", "run.zip", "--sign", "alice.key")
     assert made.code == 0, made.err
     assert made.out.startswith("SHOWN for the simulator ")

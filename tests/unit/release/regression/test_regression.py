@@ -22,9 +22,10 @@ from perfbound.orchestrator.store.read import stored_header
 from perfbound.schemas.errors import EvidenceError, PerfboundError
 from perfbound.schemas.file.config import CampaignConfig
 from perfbound.schemas.file.disturbance import Choice, Normal
+from perfbound.schemas.file.space import SystemChoice
 from perfbound.schemas.result.facts import Header
 from perfbound.schemas.rollout import RolloutRequest
-from perfbound.schemas.system import Column, SystemSpec
+from perfbound.schemas.system import Column, Option, SystemSpec
 from perfbound.schemas.trajectory.trajectory import Trajectory
 from tests.fakes.simulators import robustness, simulate, spec
 
@@ -222,6 +223,9 @@ def test_the_table_reads_back_and_another_tool_reads_it(run: Path, header: Heade
         assert (each.name, each.seed, each.outcome) == (name, before.seed, before.outcome)
         assert each.numbers == dict(zip(("z1", "z2"), before.x, strict=True))
         assert each.rollout == str(before.rollout)
+        assert each.units == {"z1": "1", "z2": "1"}
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert read_scenarios(path) == found, "with the mark of a spreadsheet"
 
 
 def test_a_formula_that_begins_as_one_of_a_spreadsheet_reads_back(header: Header, tmp_path: Path) -> None:
@@ -270,8 +274,16 @@ FAILED = Outcome(-1.0, ("R-1",), 2.0)
     ("now", "state", "text"),
     [
         (Outcome(0.0, (), None), "fixed", "robustness 0.0000 m; it was -1.0000 m"),
-        (Outcome(-1.0, ("R-1",), 2.9), "still failing", "robustness -1.0000 m at 2.9 s; it was -1.0000 m at 2 s"),
-        (Outcome(-0.5, ("R-1",), 2.0), "still failing", "robustness -0.5000 m at 2 s; it was -1.0000 m at 2 s"),
+        (
+            Outcome(-1.0, ("R-1",), 2.9),
+            "still failing",
+            "violates R-1 with robustness -1.0000 m at 2.9 s; it was -1.0000 m at 2 s",
+        ),
+        (
+            Outcome(-0.5, ("R-1",), 2.0),
+            "still failing",
+            "violates R-1 with robustness -0.5000 m at 2 s; it was -1.0000 m at 2 s",
+        ),
         (
             Outcome(-1.0, ("R-2",), 2.0),
             "changed",
@@ -298,7 +310,7 @@ def exported(run: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, **wanted:
     monkeypatch.setattr(exports, "load_campaign", lambda _: header.config)
     monkeypatch.setattr(exports, "system_of", lambda *_: header.spec)
     monkeypatch.setattr(exports, "simulated", simulated)
-    given: dict[str, Any] = {"kinds": 10, "tests": 60, "nominal": {}} | wanted
+    given: dict[str, Any] = {"groups": 10, "tests": 60, "nominal": {}} | wanted
     return export_regression(run, folder, Wanted(Path("there/cars.toml"), **given), lambda *_: None)
 
 
@@ -315,10 +327,43 @@ def test_the_export_says_what_fails_and_writes_both_files(
     compile(text, "exported", "exec")
     assert 'campaign=HERE / "../there/cars.toml"' in text
     assert 'specification="value >= 0 and force >= 0"' in text
-    few = exported(run, Path("few"), monkeypatch, kinds=1, tests=0)
+    assert f"horizon={stored_header(run).config.horizon!r}" in text
+    few = exported(run, Path("few"), monkeypatch, groups=1, tests=0)
     assert "1 kind of failure" in few[0]
-    assert any(re.search(r"^\d+ groups? of milder failures left out: --kinds \d+ takes all$", line) for line in few)
+    assert any(
+        re.search(r"^\d+ groups? of near failures left out, the milder ones: --groups \d+ looks at all$", line)
+        for line in few
+    )
     assert list(read_scenarios(tmp_path / "few" / "two_corners_failures.csv")) == ["1-worst"]
+
+
+def test_another_option_in_the_campaign_file_is_told(
+    run: Path, header: Header, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    option = Option(name="gain", default=1.0, doc="")
+    spec_with = header.spec.model_copy(update={"options": (option,)})
+    chosen = header.config.model_copy(update={"system": SystemChoice(name="any-function", gain=2.0)})
+    monkeypatch.setattr(exports, "load_campaign", lambda _: chosen)
+    other = Header.new(header.config, spec_with, {}, run="0" * 16)
+    (line,) = exports.differing_options(other, Path("cars.toml"))
+    assert line == "cars.toml has gain = 2.0, and 1.0 in the run: the tests replay what is in the file"
+    same = Header.new(chosen, spec_with, {}, run="0" * 16)
+    assert exports.differing_options(same, Path("cars.toml")) == []
+
+
+def test_a_failure_at_another_moment_is_no_step_towards_the_nearest_one(header: Header) -> None:
+    long = Header.new(header.config.model_copy(update={"horizon": 10.0}), header.spec, {}, run="0" * 16)
+    start = failure((1.0, 0.5), 2.0, "value >= 0")
+    (found,) = minimised(
+        [start],
+        Movable(long, {}),
+        # Nearer than 0.8 it fails at once, which is another failure.
+        lambda each: [Outcome(-1.0, ("value >= 0",), 2.0 if one.x[0] >= 0.8 else 0.0) for one in each],
+        tests=50,
+        report=lambda _: None,
+    )
+    assert 0.8 <= found.x[0] < 0.81
+    assert Movable(long, {"z1": 1.0}).is_nominal(start)
 
 
 def test_requirements_are_named_by_their_ids(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ from perfbound.orchestrator.release.safety_case.bundle import (
 from perfbound.orchestrator.release.safety_case.case import safety_case
 from perfbound.orchestrator.release.safety_case.files import PDF, YAML
 from perfbound.orchestrator.store.rows import DATABASE
-from perfbound.schemas.errors import PerfboundError
+from perfbound.schemas.errors import EvidenceError, PerfboundError
 from tests.tampering import editing
 
 SAMPLE = Path(__file__).parents[3] / "fixtures" / "finished" / "sample"
@@ -197,6 +197,7 @@ TAMPERINGS: list[tuple[str, Change, str]] = [
     ("a path outside", added("../../outside"), "bundle"),
     ("an absolute path", added("/tmp/outside"), "bundle"),
     ("a file elsewhere", added("other/file"), "bundle"),
+    ("a file of the run that no run has", added("run/evil.py"), "bundle"),
     ("what its own verification skipped", claimed_checks, "documents"),
 ]
 
@@ -249,7 +250,8 @@ def test_a_file_that_is_there_twice_a_cut_one_and_no_zip_file_are_refused(place:
     assert is_bundle(cut)
     assert faults(cut)
     (tmp_path / "none.zip").write_bytes(data[:1000])
-    assert not is_bundle(tmp_path / "none.zip")
+    with pytest.raises(EvidenceError, match=r"none\.zip: no zip file, or one that was cut off"):
+        is_bundle(tmp_path / "none.zip")
     empty = tmp_path / "empty.zip"
     with zipfile.ZipFile(empty, "w"):
         pass
