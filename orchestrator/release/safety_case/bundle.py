@@ -36,7 +36,7 @@ from ...certificate.verify.manifest import parse_manifest, split_manifest
 from ...certificate.verify.run import Verification, verify_certificate
 from ...certificate.verify.stages import Report
 from ...store.export import whole
-from ...store.files import contents
+from ...store.files import DISCARDED, FOLDER, contents
 from ...store.readonly import snapshot
 from ...store.rows import DATABASE
 from .case import SafetyCase, safety_case
