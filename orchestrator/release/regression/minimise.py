@@ -26,6 +26,8 @@ from .outcome import Judge, Outcome, same_moment
 
 Simulate = Callable[[Sequence[RolloutRequest]], Sequence[Outcome | None]]
 """Returns what rollouts show; None of one that gives no trajectory."""
+WHILE_MOVED = 0.25
+"""Of the horizon: a failure that is moved moves in time as well."""
 NAME = "regression"
 """Of these rollouts, in place of a problem."""
 
@@ -153,7 +155,8 @@ class _Descent:
     def _is_same(self, outcome: Outcome) -> bool:
         """Whether this is the failure that is moved: another requirement or another moment is another one."""
         before = self.best.outcome
-        return outcome.violated == before.violated and same_moment(before, outcome, self._movable.horizon)
+        at_once = same_moment(before, outcome, self._movable.horizon, WHILE_MOVED)
+        return outcome.violated == before.violated and at_once
 
     def _allowed(self, point: Point | None) -> Point | None:
         """Return the first point from here on that has to be simulated."""

@@ -9,7 +9,7 @@
 | a disturbance  | its value, with its unit; none of a variant without                                       |
 | `robustness`   | of the specification, not clipped                                                         |
 | `violated`     | requirements, or parts of the formula, with "; " between two                              |
-| `moment`       | when the robustness is attained; empty where that is no single stretch of time            |
+| `moment`       | when it is first violated; empty where that is not derived                                 |
 | `rollout`      | of the campaign; of `nearest` that from which it comes                                    |
 """
 

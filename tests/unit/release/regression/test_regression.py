@@ -261,10 +261,12 @@ def test_the_judge_names_requirements_or_the_parts_of_a_formula() -> None:
     system = two_columns()
     trajectory = Trajectory(("t", "value", "force"), np.array([[0.0, 1.0, 2.0], [1.0, -1.0, 3.0], [2.0, 0.5, -3.0]]))
     by_part = Judge("always (value >= 0 and force >= 1)", system, "refuse").outcome(trajectory)
-    assert by_part == Outcome(-4.0, ("always value >= 0", "always force >= 1"), 2.0)
+    assert by_part == Outcome(-4.0, ("always value >= 0", "always force >= 1"), 1.0), "when the first one is violated"
     named = {"R-1": "always value >= 0", "R-2": "always force >= -5"}
     assert Judge(named, system, "refuse").outcome(trajectory) == Outcome(-1.0, ("R-1",), 1.0)
     assert Judge("eventually value >= 1", system, "refuse").outcome(trajectory) == Outcome(0.0, (), None)
+    whole = Judge("eventually[0, 1] value >= 3", system, "refuse").outcome(trajectory)
+    assert whole == Outcome(-2.0, ("eventually[0,1] value >= 3",), 0.0), "where it comes closest"
 
 
 FAILED = Outcome(-1.0, ("R-1",), 2.0)
@@ -277,19 +279,23 @@ FAILED = Outcome(-1.0, ("R-1",), 2.0)
         (
             Outcome(-1.0, ("R-1",), 2.9),
             "still failing",
-            "violates R-1 with robustness -1.0000 m at 2.9 s; it was -1.0000 m at 2 s",
+            "violates R-1 with robustness -1.0000 m, violated at 2.9 s; it was -1.0000 m, violated at 2 s",
         ),
         (
             Outcome(-0.5, ("R-1",), 2.0),
             "still failing",
-            "violates R-1 with robustness -0.5000 m at 2 s; it was -1.0000 m at 2 s",
+            "violates R-1 with robustness -0.5000 m, violated at 2 s; it was -1.0000 m, violated at 2 s",
         ),
         (
             Outcome(-1.0, ("R-2",), 2.0),
             "changed",
-            "violates R-2, with robustness -1.0000 m at 2 s; before R-1",
+            "violates R-2, with robustness -1.0000 m, violated at 2 s; before R-1",
         ),
-        (Outcome(-1.0, ("R-1",), 3.1), "changed", "fails at another moment: robustness -1.0000 m at 3.1 s; it was"),
+        (
+            Outcome(-1.0, ("R-1",), 3.1),
+            "changed",
+            "fails at another moment: robustness -1.0000 m, violated at 3.1 s",
+        ),
         (Outcome(-1.0, ("R-1",), None), "changed", "fails at another moment"),
     ],
 )
@@ -353,12 +359,12 @@ def test_another_option_in_the_campaign_file_is_told(
 
 def test_a_failure_at_another_moment_is_no_step_towards_the_nearest_one(header: Header) -> None:
     long = Header.new(header.config.model_copy(update={"horizon": 10.0}), header.spec, {}, run="0" * 16)
-    start = failure((1.0, 0.5), 2.0, "value >= 0")
+    start = failure((1.0, 0.5), 4.0, "value >= 0")
     (found,) = minimised(
         [start],
         Movable(long, {}),
         # Nearer than 0.8 it fails at once, which is another failure.
-        lambda each: [Outcome(-1.0, ("value >= 0",), 2.0 if one.x[0] >= 0.8 else 0.0) for one in each],
+        lambda each: [Outcome(-1.0, ("value >= 0",), 4.0 if one.x[0] >= 0.8 else 1.0) for one in each],
         tests=50,
         report=lambda _: None,
     )
