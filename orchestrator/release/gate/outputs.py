@@ -60,7 +60,7 @@ def conclusion(judgements: Sequence[Judgement]) -> str:
     parts += [f"{counted(unreadable, 'certificate')} unreadable"] if unreadable else []
     total = sum(len(each.findings) for each in judgements)
     result = "PASSED" if passed(judgements) else "FAILED"
-    return f"GATE {result}: {', '.join(parts) or counted(total, 'rule') + ' hold'}"
+    return f"GATE {result}: {', '.join(parts) or counted(total, 'rule') + (' holds' if total == 1 else ' hold')}"
 
 
 def to_junit(judgements: Sequence[Judgement]) -> str:
