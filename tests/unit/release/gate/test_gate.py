@@ -419,3 +419,9 @@ def test_a_certificate_that_changes_meanwhile_is_not_judged(
     monkeypatch.setattr(subject, "verify_certificate", verify)
     (found,) = judged(Policy(), [read_subject(tmp_path / "run", Policy(), None, lambda *_: None)])
     assert "changed while it was judged" in found.fault
+
+
+def test_the_conclusion_counts_one_rule_as_one() -> None:
+    finding = Finding("verdict", "SHOWN", "SHOWN", "", passed=True)
+    assert conclusion([Judgement("a", (finding,))]) == "GATE PASSED: 1 rule holds"
+    assert conclusion([Judgement("a", (finding, finding))]) == "GATE PASSED: 2 rules hold"
