@@ -54,6 +54,11 @@ class Parameter(Model, metaclass=Written):
             raise ValueError(f"its lower end {self.low:g} is above its upper end {self.high:g}; exchange them")
         return self
 
+    @property
+    def range_words(self) -> str:
+        """The range with its unit, if it has one."""
+        return f"[{self.low:g}, {self.high:g}] {self.unit}".rstrip()
+
     if TYPE_CHECKING:  # else pydantic would call it for each parameter of a message
 
         def __init__(self, *limits: float, **fields: Any) -> None: ...
@@ -447,9 +452,7 @@ def _range_words(parameter: Parameter | None) -> str:
     """Return the range of a parameter in words."""
     if parameter is None:
         return "none"
-    return f"in [{parameter.low:g}, {parameter.high:g}] {parameter.unit}".rstrip() + (
-        ", an input over time" if parameter.signal else ""
-    )
+    return f"in {parameter.range_words}" + (", an input over time" if parameter.signal else "")
 
 
 def _check_disturbances(spec: SystemSpec) -> None:

@@ -1,6 +1,5 @@
 """The command `export`: the data of a campaign in forms that other tools read."""
 
-import shlex
 import sys
 from pathlib import Path
 from typing import Any, Literal
@@ -8,7 +7,7 @@ from typing import Any, Literal
 import click
 
 from ...schemas.amounts import counted
-from ...schemas.errors import PerfboundError, meant
+from ...schemas.errors import meant
 from ...schemas.number_text import number_in
 from .early import check_directory
 from .group import RUN_DIRECTORY, cli, output_console
@@ -213,39 +212,13 @@ def _export_case(
     from rich.progress import Progress  # noqa: PLC0415
     from rich.text import Text  # noqa: PLC0415
 
-    from ..certificate.signing.sign import unsigned  # noqa: PLC0415
-    from ..certificate.verify.run import verify_certificate  # noqa: PLC0415
     from ..certificate.verify.stages import stage_bars  # noqa: PLC0415
     from ..certificate.words.console_lines import hanging  # noqa: PLC0415
-    from ..release.safety_case.bundle import Content, write_bundle  # noqa: PLC0415
-    from ..release.safety_case.case import safety_case as case_of  # noqa: PLC0415
-    from ..release.safety_case.files import case_files  # noqa: PLC0415
-    from ..run.directory import finished_certificate  # noqa: PLC0415
-    from ..store.export import whole  # noqa: PLC0415
+    from ..release.safety_case.export import Wanted, export_case  # noqa: PLC0415
 
-    key = None if sign is None else load_key(sign)
-    if key is not None and (fault := unsigned(directory, key.public_key())):
-        signed = f"perfbound sign {shlex.quote(str(directory))} --key {shlex.quote(str(sign))}"
-        raise PerfboundError(f"{directory}: not signed by the key of --sign: {fault}; first: {signed}")
-    finished_certificate(directory)  # else the verification would say that there is nothing to verify
+    wanted = Wanted(folder, bundle, signers, None if sign is None else load_key(sign), trajectories)
     with Progress(console=STDERR.console, transient=True, disable=not sys.stderr.isatty()) as progress:
-        report = stage_bars(progress)
-        verified = verify_certificate(directory, key=None, again=0, report=report)
-        lines = verified.checks.lines()
-        case = case_of(directory, signers, verified.certificate or finished_certificate(directory), lines)
-        if folder is not None:
-            made = case_files(case)
-            with whole(directory, [folder / name for name in made]) as written:
-                for file, data in zip(written, made.values(), strict=True):
-                    file.write(data)
-        if bundle is not None:
-            content = Content(directory, case, lines, signers, trajectories)
-            number = write_bundle(bundle, content, key, report)
-    hanging(output_console(), Text(), case.answer)
-    if folder is not None:
-        for name in made:
-            click.echo(folder / name)
-    if bundle is not None:
-        click.echo(
-            f"{bundle}  {counted(number, 'file')}; to check it anywhere: perfbound verify {shlex.quote(str(bundle))}"
-        )
+        answer, *lines = export_case(directory, wanted, stage_bars(progress))
+    hanging(output_console(), Text(), answer)
+    for line in lines:
+        click.echo(line)

@@ -125,25 +125,17 @@ def clean(*, folder: Path, older: float, keep_verified: bool, yes: bool, dry_run
 
     A run that is running or signed stays, and one with files that perfbound has not written.
     """
-    from collections import Counter  # noqa: PLC0415
-
     from rich.progress import Progress  # noqa: PLC0415
 
-    from ...schemas.amounts import amount, counted  # noqa: PLC0415
+    from ...schemas.amounts import amount  # noqa: PLC0415
     from ..certificate.verify.stages import stage_bars  # noqa: PLC0415
-    from ..certificate.words.format import duration  # noqa: PLC0415
-    from ..release.clean import Judged, judge_runs, remove_runs  # noqa: PLC0415
+    from ..release.clean import Judged, judge_runs, remove_runs, summary  # noqa: PLC0415
 
     with Progress(console=STDERR.console, transient=True, disable=not sys.stderr.isatty()) as progress:
         found = judge_runs(folder, older=older, keep_verified=keep_verified, report=stage_bars(progress))
-    going = [each for each in found if not each.kept]
-    for each in going:
-        click.echo(f"{each.directory}  {amount(each.size)}, unchanged for {duration(each.age)}")
-    for why, number in sorted(Counter(each.kept for each in found if each.kept).items()):
-        click.echo(f"stays: {counted(number, 'run')}, {why}")
-    total = amount(sum(each.size for each in going))
-    click.echo(f"{counted(len(going), 'run')} of {len(found):,} can go, which frees {total}")
-    if dry_run or not going:
+    for line in summary(found):
+        click.echo(line)
+    if dry_run or all(each.kept for each in found):
         return
     if not yes and not sys.stdin.isatty():
         raise click.UsageError("there is no terminal to ask: give --yes to remove them, or --dry-run")
@@ -153,7 +145,7 @@ def clean(*, folder: Path, older: float, keep_verified: bool, yes: bool, dry_run
     def done(each: Judged, reason: str) -> None:
         click.echo(f"stays: {each.directory}: {reason}" if reason else f"removed {each.directory}")
 
-    click.echo(f"freed {amount(remove_runs(going, done))}")
+    click.echo(f"freed {amount(remove_runs(found, done))}")
 
 
 def _equal(_context: click.Context, _parameter: click.Parameter, given: tuple[str, ...]) -> dict[str, float]:

@@ -7,14 +7,17 @@ import fnmatch
 import os
 import shutil
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from ...schemas.amounts import amount, counted
 from ...schemas.errors import PerfboundError, one_line
 from ..certificate import files
 from ..certificate.verify.run import verify_certificate
 from ..certificate.verify.stages import Report
+from ..certificate.words.format import duration
 from ..report.listing import last_change, run_directories
 from ..report.write import COUNTEREXAMPLES, FIGURES
 from ..store import so_far, stop_request
@@ -107,10 +110,22 @@ def _size(directory: Path) -> int:
     return sum(os.lstat(Path(root, name)).st_size for root, _, names in os.walk(directory) for name in names)
 
 
+def summary(found: Sequence[Judged]) -> list[str]:
+    """Return a line on each run that can go, then on those that stay, and what the removal frees."""
+    going = [each for each in found if not each.kept]
+    staying = sorted(Counter(each.kept for each in found if each.kept).items())
+    freed = amount(sum(each.size for each in going))
+    return [
+        *(f"{each.directory}  {amount(each.size)}, unchanged for {duration(each.age)}" for each in going),
+        *(f"stays: {counted(number, 'run')}, {why}" for why, number in staying),
+        f"{counted(len(going), 'run')} of {len(found):,} can go, which frees {freed}",
+    ]
+
+
 def remove_runs(found: Sequence[Judged], done: Callable[[Judged, str], None]) -> int:
     """Remove the run directories that can go; return the bytes that were freed.
 
-    `done` gets each, with the reason why it stays after all, as where somebody has just resumed it.
+    `done` gets each, with the reason why it stays after all, as where it has just been resumed.
     """
     freed = 0
     for each in found:
@@ -133,7 +148,7 @@ def remove_runs(found: Sequence[Judged], done: Callable[[Judged, str], None]) ->
 def _remove(directory: Path) -> None:
     """Remove a run directory: first its certificate, which would have no evidence, and last its database.
 
-    After a crash in between it is listed as before, and the next clean-up goes on.
+    After a crash in between it is listed as before, and the next clean-up continues.
     """
     (directory / files.CERTIFICATE).unlink(missing_ok=True)
     for path in directory.iterdir():

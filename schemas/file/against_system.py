@@ -204,7 +204,7 @@ def _space_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
             continue
         if not parameter.low <= box.low <= box.high <= parameter.high:
             faults.append(
-                f"space.{name}: [{box.low:g}, {box.high:g}] goes beyond {_range_of(parameter)}, the range of "
+                f"space.{name}: [{box.low:g}, {box.high:g}] goes beyond {parameter.range_words}, the range of "
                 f"{spec.name}"
             )
         if box.unit not in ("", parameter.unit):
@@ -231,13 +231,8 @@ def _row_faults(space: Scenarios | StartTable, spec: SystemSpec) -> Iterator[str
             if not parameter.low <= value <= parameter.high:
                 yield (
                     f"{key}: {entry} {number}, {parameter.name} = {value:g} goes beyond "
-                    f"{_range_of(parameter)}, the range of {spec.name}"
+                    f"{parameter.range_words}, the range of {spec.name}"
                 )
-
-
-def _range_of(parameter: Parameter) -> str:
-    """Return the range of a parameter with its unit, if it has one."""
-    return f"[{parameter.low:g}, {parameter.high:g}] {parameter.unit}".rstrip()
 
 
 def _kernel_faults(config: CampaignConfig, spec: SystemSpec) -> Iterator[str]:
@@ -312,7 +307,7 @@ def _nominal_faults(config: CampaignConfig, spec: SystemSpec) -> Iterator[str]:
         if name not in known:
             yield f"falsify.nominal.{name}: unknown parameter; {meant(name, known)}{spec.name} has {', '.join(known)}"
         elif not known[name].low <= value <= known[name].high:
-            yield (f"falsify.nominal.{name}: {value:g} goes beyond {_range_of(known[name])}, the range of {spec.name}")
+            yield (f"falsify.nominal.{name}: {value:g} goes beyond {known[name].range_words}, the range of {spec.name}")
 
 
 def _rollout_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:

@@ -282,7 +282,8 @@ class CampaignKeys(CampaignSize):
     @property
     def formula(self) -> str | None:
         """The specification; of several requirements that every one of them holds."""
-        return conjunction(self.specifications) if self.specifications else self.specification
+        formulas = [each.formula for each in self.specifications]
+        return conjunction(formulas) if formulas else self.specification
 
     def claims_of(self, problem: Problem) -> tuple[DrawnClaim, ...]:
         """Return what is claimed of drawn starts, the first claim first; empty for a problem that draws none.

@@ -4,7 +4,7 @@ Method `sample` makes every claim from the same draws. A method that chooses its
 own, from the same rollouts, with the constants of the problem or with those that the requirement has.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -52,10 +52,10 @@ def listed(table: Any) -> Any:
     ]
 
 
-def conjunction(requirements: Sequence[Requirement]) -> str:
-    """Return the formula that holds if every requirement does; its robustness is the least one of theirs.
+def conjunction(formulas: Iterable[str]) -> str:
+    """Return the formula that holds if every one of these does; its robustness is the least one of theirs.
 
-    >>> conjunction([Requirement(name="gap", formula="d > 2"), Requirement(name="stop", formula="v < 1")])
+    >>> conjunction(["d > 2", "v < 1"])
     '(d > 2) and (v < 1)'
     """
-    return " and ".join(f"({each.formula})" for each in requirements)
+    return " and ".join(f"({each})" for each in formulas)

@@ -181,7 +181,7 @@ def describe(reference: str | None = None) -> Iterator[str]:
         yield f"{spec.name}: {spec.doc}"
         for parameter in spec.parameters:
             over_time = ", an input over time" if parameter.signal else ""
-            yield f"  parameter {parameter.name} in [{parameter.low:g}, {parameter.high:g}] {parameter.unit}{over_time}"
+            yield f"  parameter {parameter.name} in {parameter.range_words}{over_time}"
         for each in spec.disturbances:
             yield f"  random    {each.name}: {each.words}"
         for option in spec.options:
@@ -200,8 +200,7 @@ def _numbers(spec: SystemSpec, text: str) -> tuple[float, ...]:
         raise PerfboundError(f"--x {text}: {spec.name} takes {len(names)} numbers: {','.join(names)}")
     for parameter, number in zip(spec.parameters, numbers, strict=True):
         if not parameter.low <= number <= parameter.high:  # also refuses NaN
-            allowed = f"[{parameter.low:g}, {parameter.high:g}] {parameter.unit}"
-            raise PerfboundError(f"--x {text}: {parameter.name} = {number:g} is not in {allowed}")
+            raise PerfboundError(f"--x {text}: {parameter.name} = {number:g} is not in {parameter.range_words}")
     return numbers
 
 

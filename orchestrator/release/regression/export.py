@@ -12,6 +12,7 @@ from pathlib import Path
 
 from ....schemas.amounts import counted, some_of
 from ....schemas.errors import CampaignError, PerfboundError, meant
+from ....schemas.file.config import CampaignConfig
 from ....schemas.file.reader import load_campaign
 from ....schemas.requests import RequestTemplate
 from ....schemas.result.facts import Header
@@ -19,6 +20,7 @@ from ....schemas.system import differences
 from ...certificate.verify.stages import Report
 from ...certificate.words.refutation_text import margin_words
 from ...fleet.children.rollouts import ChildSystem
+from ...report.rollout.load import number_words
 from ...run.session import system_of
 from ...store.export import whole
 from ...store.export_tables import robustness_unit
@@ -88,8 +90,8 @@ def export_regression(directory: Path, folder: Path, wanted: Wanted, report: Rep
         Stopped: a signal arrived.
 
     """
-    header = stored_header(directory)
-    system, specification = _system(directory, header, wanted.campaign), specification_of(header, directory)
+    header, given = stored_header(directory), load_campaign(wanted.campaign)
+    system, specification = _system(directory, header, wanted.campaign, given), specification_of(header, directory)
     movable = Movable(header, _checked(header, wanted.nominal))
     judge = Judge(specification, header.spec, header.config.beyond)
     found = failures_of(directory, header, judge, partial(report, "failures read"))
@@ -118,7 +120,7 @@ def export_regression(directory: Path, folder: Path, wanted: Wanted, report: Rep
     return [
         *_lines(directory, header, found, kinds, movable),
         *([f"{counted(left, 'group')} of near failures left out, the milder ones: {every}"] if left else []),
-        *differing_options(header, wanted.campaign),
+        *differing_options(header, wanted.campaign, given),
         f"{table}  {counted(len(named), 'scenario')}",
         f"{tests}  to run it: pytest {shlex.quote(str(tests))}",
     ]
@@ -134,19 +136,18 @@ def _kinds(header: Header, worst: Sequence[Failure], moved: Sequence[Failure]) -
     return sorted((group[0] for group in of_one), key=kinds.index)
 
 
-def _system(directory: Path, header: Header, campaign: Path) -> ChildSystem:
+def _system(directory: Path, header: Header, campaign: Path, config: CampaignConfig) -> ChildSystem:
     """Return the system of the campaign file, which has to be the one of the run directory."""
     spec = header.spec
     if spec.repeated != "anywhere" or spec.batch_is_the_unit:
         what = "one by one" if spec.repeated == "anywhere" else "again"
         raise PerfboundError(f"{directory}: rollouts of {spec.name} cannot be simulated {what}; nothing was exported")
-    config = load_campaign(campaign)
     here = system_of(config, campaign, config.system.reference(campaign))
     if here.digest != spec.digest:
         raise CampaignError(
             f"{campaign}: its system is another one than that of {directory}: "
             f"{'; '.join(differences(spec, here)[:3]) or 'another name'}; export with the sources of the campaign, "
-            "and mend them then"
+            "and fix them after that"
         )
     return ChildSystem(str(campaign), spec, header.config.deadline, math.inf)
 
@@ -176,8 +177,7 @@ def _checked(header: Header, nominal: Mapping[str, float]) -> Mapping[str, float
         if name not in known:
             raise PerfboundError(f"--nominal {name}: {meant(name, known)}the parameters are {', '.join(known)}")
         if not known[name].low <= value <= known[name].high:
-            allowed = f"[{known[name].low:g}, {known[name].high:g}] {known[name].unit}"
-            raise PerfboundError(f"--nominal {name}={value:g}: it is not in {allowed}")
+            raise PerfboundError(f"--nominal {name}={value:g}: it is not in {known[name].range_words}")
     return nominal
 
 
@@ -203,9 +203,8 @@ def _quoted(text: str) -> str:
     return json.dumps(text, ensure_ascii=False)
 
 
-def differing_options(header: Header, campaign: Path) -> list[str]:
-    """Return a line on the options in which the campaign file differs from the run."""
-    config = load_campaign(campaign)
+def differing_options(header: Header, campaign: Path, config: CampaignConfig) -> list[str]:
+    """Return a line on the options in which a campaign file, whose content is `config`, differs from the run."""
     there = RequestTemplate.of(header.spec, config.system.options, horizon=config.horizon, visual=False).options
     unlike = [
         f"{name} = {there[name]}, and {value} in the run"
@@ -242,4 +241,4 @@ def _start_words(header: Header, failure: Failure) -> str:
         numbers += [
             (law.name, law.unit, value) for law, value in zip(spec.disturbances, failure.disturbances, strict=True)
         ]
-    return some_of([f"{name} = {value:.6g} {unit}".removesuffix(" 1").rstrip() for name, unit, value in numbers])
+    return number_words(numbers)

@@ -112,8 +112,7 @@ def _read(directory: Path, rollout: RolloutId, judge: Judge) -> Failure:
     if found.trajectory is None:
         raise EvidenceError(found.damage)
     request = found.request
-    x = request.start or request.x
-    return Failure(rollout, x, request.seed, request.disturbances, judge.outcome(found.trajectory))
+    return Failure(rollout, request.chosen, request.seed, request.disturbances, judge.outcome(found.trajectory))
 
 
 def _in_unit_cube(header: Header, starts: Floats) -> Floats:

@@ -112,7 +112,7 @@ def minimised(
 
 
 def _check_again(failures: Sequence[Failure], outcomes: Sequence[Outcome | None]) -> None:
-    """Refuse to go on from a failure that is none here."""
+    """Refuse to continue from a failure that is none here."""
     for failure, again in zip(failures, outcomes, strict=True):
         if again is None or not again.fails:
             found = "gives no trajectory" if again is None else f"has the robustness {again.robustness:.6g}"
@@ -145,8 +145,7 @@ class _Descent:
         fails = outcome is not None and outcome.fails and self._is_same(outcome)
         if outcome is not None and fails:
             request = self.request
-            x = request.start or request.x
-            self.best = replace(self._failure, x=x, disturbances=request.disturbances, outcome=outcome)
+            self.best = replace(self._failure, x=request.chosen, disturbances=request.disturbances, outcome=outcome)
         self._fails[self.next] = fails
         self._left -= 1
         following = self._allowed(self._sent(fails=fails))

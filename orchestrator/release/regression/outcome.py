@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ....schemas.file.requirements import conjunction
 from ....schemas.system import SystemSpec
 from ....schemas.trajectory.trajectory import Trajectory
 from ....schemas.values import Beyond
@@ -55,7 +56,7 @@ class Judge:
             self._whole = parse_formula(specification, spec.units)
             self._parts = {text(part): part for part in goal_of(self._whole)[1]}
         else:
-            self._whole = parse_formula(" and ".join(f"({each})" for each in specification.values()), spec.units)
+            self._whole = parse_formula(conjunction(specification.values()), spec.units)
             self._parts = {name: parse_formula(formula, spec.units) for name, formula in specification.items()}
 
     def outcome(self, trajectory: Trajectory) -> Outcome:

@@ -3,7 +3,6 @@
 import math
 import shlex
 import tempfile
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -97,10 +96,6 @@ class Scenarios:
         state, words = compared(scenario.outcome, found, self._horizon, robustness_unit(self._config, self._spec))
         return Replay(name, state, words, found.robustness, self._command(request, f"{name}.png"))
 
-    def __iter__(self) -> Iterator[Replay]:
-        """Replay all scenarios."""
-        return map(self.replay, self.names)
-
     @cached_property
     def _config(self) -> CampaignConfig:
         return load_campaign(self._campaign)
@@ -143,8 +138,7 @@ class Scenarios:
                 raise _ChangedError(f"{name} = {scenario.numbers[name]:g} is outside of its law: {law.words}")
         for parameter, name in zip(self._spec.own_parameters, starts, strict=True):
             if not parameter.low <= scenario.numbers[name] <= parameter.high:
-                allowed = f"[{parameter.low:g}, {parameter.high:g}] {parameter.unit}"
-                raise _ChangedError(f"{name} = {scenario.numbers[name]:g} is not in {allowed}")
+                raise _ChangedError(f"{name} = {scenario.numbers[name]:g} is not in {parameter.range_words}")
         rollout = RolloutId(NAME, 0, scenario.variant, 0)
         request = template.request(rollout, [scenario.numbers[name] for name in starts], scenario.seed)
         return request.model_copy(

@@ -85,15 +85,7 @@ def argument(case: SafetyCase) -> tuple[Element, ...]:
         ),
         Element(f"Sn{len(claims) + 1}", _tests_made(case)),
         Element(f"Sn{len(claims) + 2}", re.split("[.;] ", case.verification)[0]),
-        *(
-            [
-                Element(
-                    f"Sn{len(claims) + 3}", re.sub(r"([0-9a-f]{16})[0-9a-f]{48}", r"\1...", " ".join(case.signatures))
-                )
-            ]
-            if case.signed
-            else []
-        ),
+        *([Element(f"Sn{len(claims) + 3}", _signers(case))] if case.signed else []),
     )
 
 
@@ -108,11 +100,7 @@ def _goals(case: SafetyCase) -> list[tuple[str, bool, str]]:
     What rollouts alone show comes first.
     """
     claims = [
-        (
-            f"{each.requirement}: {each.sentence}" if each.requirement else each.sentence,
-            each.refuted,
-            f"method {each.method}",
-        )
+        (": ".join(filter(None, (each.requirement, each.sentence))), each.refuted, f"method {each.method}")
         for each in case.claims[:MOST_CLAIMS]
     ]
     by_rollouts = [("By the rollouts alone, without a kernel: " + " ".join(case.reasons), True, "counted")]

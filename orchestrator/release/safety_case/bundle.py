@@ -10,14 +10,16 @@
 """
 
 import hashlib
+import io
 import json
 import shutil
 import sqlite3
 import tempfile
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import IO, Any, get_args
 
@@ -82,28 +84,35 @@ def write_bundle(path: Path, content: Content, key: Ed25519PrivateKey | None, re
         PerfboundError: it cannot be written.
 
     """
-    directory, case, listed = content.directory, content.case, dict[str, str]()
-    with whole(directory, [path]) as (out,), zipfile.ZipFile(out, "w", allowZip64=True) as bundle:
-        for name in OF_RUN:
-            if (directory / name).is_file():
-                with (directory / name).open("rb") as file:
-                    listed[f"{RUN}/{name}"] = _added(bundle, f"{RUN}/{name}", file)
-        with _database(directory) as file:
-            listed[f"{RUN}/{DATABASE}"] = _added(bundle, f"{RUN}/{DATABASE}", file)
-        paths = _trajectories(directory) if content.trajectories else []
-        for number, each in enumerate(paths, 1):
-            with (directory / each).open("rb") as file:
-                listed[f"{RUN}/{each}"] = _added(bundle, f"{RUN}/{each}", file)
-            report("trajectories", number, len(paths))
-        for name, data in case_files(case).items():
-            listed[f"{CASE}/{name}"] = _text(bundle, f"{CASE}/{name}", data)
-        for number, signer in enumerate(content.signers, 1):
-            listed[f"{SIGNERS}/{number}.pub"] = _text(bundle, f"{SIGNERS}/{number}.pub", signer.read_bytes())
+    sources, listed = _sources(content), dict[str, str]()
+    with whole(content.directory, [path]) as (out,), zipfile.ZipFile(out, "w", allowZip64=True) as bundle:
+        for number, (name, opened) in enumerate(sources, 1):
+            with opened() as file:
+                listed[name] = _added(bundle, name, file)
+            report("bundle", number, len(sources))
         statement = _statement(content, listed)
-        _text(bundle, LIST, statement)
+        _added(bundle, LIST, io.BytesIO(statement))
         if key is not None:
-            _text(bundle, ENVELOPE, sign(statement, key))
+            _added(bundle, ENVELOPE, io.BytesIO(sign(statement, key)))
     return len(listed)
+
+
+def _sources(content: Content) -> list[tuple[str, Callable[[], AbstractContextManager[IO[bytes]]]]]:
+    """Return the names of the files of a bundle, each with what opens its content."""
+    directory = content.directory
+    names = [name for name in OF_RUN if (directory / name).is_file()]
+    names += _trajectories(directory) if content.trajectories else []
+    paths = {f"{RUN}/{name}": directory / name for name in names}
+    paths |= {f"{SIGNERS}/{number}.pub": signer for number, signer in enumerate(content.signers, 1)}
+    return [
+        *((name, partial(_opened, path)) for name, path in paths.items()),
+        (f"{RUN}/{DATABASE}", partial(_database, directory)),
+        *((f"{CASE}/{name}", partial(io.BytesIO, data)) for name, data in case_files(content.case).items()),
+    ]
+
+
+def _opened(path: Path) -> IO[bytes]:
+    return path.open("rb")
 
 
 def _statement(content: Content, listed: Mapping[str, str]) -> bytes:
@@ -134,13 +143,6 @@ def _added(bundle: zipfile.ZipFile, name: str, file: IO[bytes]) -> str:
             digest.update(chunk)
             entry.write(chunk)
     return digest.hexdigest()
-
-
-def _text(bundle: zipfile.ZipFile, name: str, data: bytes) -> str:
-    with tempfile.SpooledTemporaryFile(max_size=2**24) as file:
-        file.write(data)
-        file.seek(0)
-        return _added(bundle, name, file)
 
 
 @contextmanager

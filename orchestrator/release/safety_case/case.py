@@ -108,9 +108,9 @@ class SafetyCase:
     signed: bool
     """Whether a signature was checked."""
 
-    def with_status(self, *statuses: str) -> tuple[AssumptionText, ...]:
-        """Return the assumptions with one of these statuses."""
-        return tuple(each for each in self.assumptions if each.status in statuses)
+    def with_status(self, status: str) -> tuple[AssumptionText, ...]:
+        """Return the assumptions with a status."""
+        return tuple(each for each in self.assumptions if each.status == status)
 
 
 def safety_case(directory: Path, keys: Sequence[Path], certificate: Certificate, lines: Sequence[Check]) -> SafetyCase:
@@ -131,7 +131,7 @@ def safety_case(directory: Path, keys: Sequence[Path], certificate: Certificate,
     header, predicate = campaign.header, campaign.predicate
     unit = robustness_unit(header.config, header.spec)
     named = {each.name: _requirement_name(each) for each in header.config.specifications}
-    signed, unchecked_signers = _signed(directory, keys), claimed_signers(directory)
+    signed = _signed(directory, keys)
     found = SafetyCase(
         campaign=header.config.name,
         certificate_sha256=sha256,
@@ -160,7 +160,7 @@ def safety_case(directory: Path, keys: Sequence[Path], certificate: Certificate,
         words=(),
         verification=_verification(lines),
         rollouts=predicate.evidence.rollouts,
-        signatures=tuple(signed) or tuple(_claimed(unchecked_signers)),
+        signatures=tuple(signed) or tuple(_claimed(claimed_signers(directory))),
         signed=bool(signed),
     )
     return replace(found, words=tuple(_words(found)))

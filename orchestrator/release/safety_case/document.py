@@ -76,13 +76,21 @@ class _Flow:
     pages: list[Figure] = field(default_factory=list)
     _y: float = 0.0
 
+    def _ends(self, lines: float) -> bool:
+        """Whether the page ends before so many lines."""
+        return self._y + lines * self._step > HEIGHT - MARGIN
+
+    @property
+    def _step(self) -> float:
+        """Inches from line to line."""
+        return self.size * 1.36 / 72.0
+
     def line(self, parts: Sequence[Part], lines: float = 1.0) -> None:
         """Put texts at their places (inches from the margin) into one line; on a new page where this one is full."""
-        step = self.size * 1.36 / 72.0 * lines
-        if not self.pages or self._y + step > HEIGHT - MARGIN:
+        if not self.pages or self._ends(lines):
             self.pages.append(Figure(figsize=(WIDTH, HEIGHT)))
             self._y = MARGIN
-        self._y += step
+        self._y += lines * self._step
         for x, text, style in parts:
             options = {"fontsize": self.size, "va": "baseline", **style}
             shown = text.replace("$", r"\$")
@@ -90,12 +98,11 @@ class _Flow:
 
     def space(self, lines: float) -> None:
         """Leave so many lines empty, unless the page is."""
-        self._y += self.size * 1.36 / 72.0 * lines
+        self._y += lines * self._step
 
     def heading(self, text: str) -> None:
         """Put a heading, with the next three lines on its page."""
-        step = self.size * 1.36 / 72.0
-        if self._y + 5 * step > HEIGHT - MARGIN:
+        if self._ends(5):
             self._y = HEIGHT
         self.space(0.9)
         self.line([(0.0, text, {"weight": "bold", "fontsize": self.size * 1.25})], 1.3)
@@ -116,9 +123,9 @@ class _Flow:
         names = wrapped(self._cut(name), self.size, NAMES - 0.1)
         texts = wrapped(self._cut(text), self.size, WIDTH - 2 * MARGIN - NAMES)
         lines = max(len(names), len(texts))
-        if lines <= TOGETHER and self._y + lines * self.size * 1.36 / 72.0 > HEIGHT - MARGIN:
+        if lines <= TOGETHER and self._ends(lines):
             self._y = HEIGHT
-        for k in range(max(len(names), len(texts))):
+        for k in range(lines):
             parts: list[Part] = [(0.0, names[k], {"color": GREY})] if k < len(names) else []
             parts += [(NAMES, texts[k], style)] if k < len(texts) else []
             self.line(parts)
@@ -133,13 +140,8 @@ def to_pdf(case: SafetyCase) -> bytes:
         pages = [*text_pages(case), drawing(argument(case), f"Argument: {case.campaign}")]
         for number, page in enumerate(pages, 1):
             foot = f"{case.campaign}, certificate {case.certificate_sha256[:16]}..., page {number} of {len(pages)}"
-            page.text(
-                MARGIN / WIDTH if number < len(pages) else 0.01,
-                0.03 if number < len(pages) else 0.012,
-                foot,
-                fontsize=7,
-                color=GREY,
-            )
+            place = (MARGIN / WIDTH, 0.03) if number < len(pages) else (0.01, 0.012)
+            page.text(*place, foot, fontsize=7, color=GREY)
         out = io.BytesIO()
         about = {"Title": f"Safety case of {case.campaign}", "CreationDate": None, "Producer": None, "Creator": None}
         with PdfPages(out, metadata=about) as file:
@@ -237,12 +239,8 @@ def _more(flow: _Flow, number: int, most: int) -> None:
 
 def wrapped(text: str, size: float, width: float, *, bold: bool = False) -> list[str]:
     """Return a text in lines that are no wider than `width` inches; a longer word is cut."""
-    lines, line, filled, blank = (
-        list[str](),
-        list[str](),
-        0.0,
-        _inches("a a", size, bold=bold) - _inches("aa", size, bold=bold),
-    )
+    blank = _inches("a a", size, bold=bold) - _inches("aa", size, bold=bold)
+    lines, line, filled = list[str](), list[str](), 0.0
     for word in text.split():
         for part in _cut(word, size, width, bold=bold):
             needed = _inches(part, size, bold=bold)

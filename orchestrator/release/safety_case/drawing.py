@@ -67,7 +67,7 @@ def missing_letters() -> Iterator[None]:
 
 def drawing(elements: Sequence[Element], title: str) -> Figure:
     """Return the drawing of an argument, as high as it has to be."""
-    boxes = {box.element.id: box for box in _placed(elements)}
+    boxes = {box.element.id: box for box in placed(elements)}
     height = max(box.bottom for box in boxes.values()) + 3 * PAD
     figure = Figure(figsize=(WIDTH, height), layout=None)
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
@@ -89,7 +89,7 @@ def drawing(elements: Sequence[Element], title: str) -> Figure:
     return figure
 
 
-def _placed(elements: Sequence[Element]) -> Iterator[Box]:
+def placed(elements: Sequence[Element]) -> Iterator[Box]:
     """Yield the elements with their places: contexts beside the goal, assumptions on the right of all below it."""
     known = {each.id: each for each in elements}
     goal, strategy = known["G1"], known["S1"]
@@ -165,7 +165,7 @@ def _draw(axes: Axes, box: Box) -> None:
     style: dict[str, Any] = {
         "facecolor": FILL[kind],
         "edgecolor": edge,
-        "linewidth": 1.6 if box.element.refuted else 0.9,
+        "linewidth": THICK if box.element.refuted else THIN,
         "zorder": 3,
     }
     middle = y + h / 2

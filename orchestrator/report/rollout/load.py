@@ -1,5 +1,6 @@
 """A recorded rollout: its fact, its file, and its request."""
 
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -95,6 +96,15 @@ def load_batch(directory: Path, recorded: RecordedRollout) -> list[RecordedRollo
     ]
 
 
+def number_words(numbers: Iterable[tuple[str, str, float]]) -> str:
+    """Return names and units with their values in words, of many the first ones.
+
+    >>> number_words([("gap", "m", 20.0), ("load", "1", 0.5)])
+    'gap = 20 m, load = 0.5'
+    """
+    return some_of([f"{name} = {value:.6g} {unit}".removesuffix(" 1").rstrip() for name, unit, value in numbers])
+
+
 def description(found: RecordedRollout) -> str:
     """Return system, variant, start, seed and robustness of a rollout in one line."""
     request, spec = found.request, found.header.spec
@@ -102,7 +112,7 @@ def description(found: RecordedRollout) -> str:
     if request.disturbances:
         every = zip(spec.disturbances, request.disturbances, strict=True)
         numbers += [(law.name, law.unit, value) for law, value in every if law.name in spec.as_parameters]
-    start = some_of([f"{name} = {value:.6g} {unit}".removesuffix(" 1").rstrip() for name, unit, value in numbers])
+    start = number_words(numbers)
     score = "" if found.fact.robustness is None else f", robustness {found.fact.robustness:.6g}"
     score += "; its sign may depend on a time stamp close to a border of a window" if found.fact.by_tolerance else ""
     drawn = words(found.header, request.variant, request.seed)

@@ -1,4 +1,4 @@
-"""`perfbound export --regression` on a bad controller: its tests fail there, and pass on the mended one."""
+"""`perfbound export --regression` on a bad controller: its tests fail there, and pass on the fixed one."""
 
 import csv
 import math
@@ -28,7 +28,7 @@ def outcome(started: Processes, *chosen: str) -> Ended:
 
 
 @pytest.mark.journey
-def test_exported_tests_fail_on_the_bad_controller_and_pass_on_the_mended_one(started: Processes) -> None:
+def test_exported_tests_fail_on_the_bad_controller_and_pass_on_the_fixed_one(started: Processes) -> None:
     bad = CARS.read_text().replace("reaction=0.5", "reaction=1.2")
     (started.folder / "cars.py").write_text(bad)
     (started.folder / "cars.toml").write_text(CAMPAIGN)
@@ -54,11 +54,11 @@ def test_exported_tests_fail_on_the_bad_controller_and_pass_on_the_mended_one(st
     assert (started.folder / "1-worst.png").exists()
 
     (started.folder / "cars.py").write_text(bad.replace("reaction=1.2", "reaction=0.5"))
-    mended = outcome(started)
-    assert mended.code == 0, mended.out
-    assert f"{len(rows)} passed" in mended.out
+    fixed = outcome(started)
+    assert fixed.code == 0, fixed.out
+    assert f"{len(rows)} passed" in fixed.out
 
-    # A nearest failure alone would call this mended, too.
+    # A nearest failure alone would call this fixed, too.
     (started.folder / "cars.py").write_text(bad.replace("reaction=1.2", "reaction=1.1"))
     partly = outcome(started, "-k", "worst")
     assert partly.code == 1

@@ -33,9 +33,9 @@ def judged(folder: Path, *, keep_verified: bool = False) -> dict[str, str]:
 
 def removed(folder: Path, *, keep_verified: bool = False) -> tuple[int, dict[str, str]]:
     found = judge_runs(folder, older=30 * DAY, keep_verified=keep_verified, report=lambda *_: None)
-    told = dict[str, str]()
-    freed = remove_runs(found, lambda each, reason: told.update({each.directory.name: reason}))
-    return freed, told
+    reasons = dict[str, str]()
+    freed = remove_runs(found, lambda each, reason: reasons.update({each.directory.name: reason}))
+    return freed, reasons
 
 
 def test_an_old_run_goes_as_a_whole_and_a_newer_one_stays(tmp_path: Path) -> None:
@@ -66,9 +66,9 @@ def test_a_run_that_was_signed_since_stays(tmp_path: Path) -> None:
     old = copy(tmp_path / "old")
     found = judge_runs(tmp_path, older=30 * DAY, keep_verified=False, report=lambda *_: None)
     (old / files.ENVELOPE).write_text("{}")
-    told = list[str]()
-    assert remove_runs(found, lambda _, reason: told.append(reason)) == 0
-    assert told == ["it has just been signed"]
+    reasons = list[str]()
+    assert remove_runs(found, lambda _, reason: reasons.append(reason)) == 0
+    assert reasons == ["it has just been signed"]
     assert (old / DATABASE).exists()
 
 
@@ -114,8 +114,8 @@ def test_after_a_crash_in_between_the_next_clean_up_goes_on(tmp_path: Path, monk
         raise OSError("the disk is gone")
 
     monkeypatch.setattr(shutil, "rmtree", crash)
-    freed, told = removed(tmp_path)
-    assert (freed, told) == (0, {"old": "the disk is gone"})
+    freed, reasons = removed(tmp_path)
+    assert (freed, reasons) == (0, {"old": "the disk is gone"})
     assert (old / DATABASE).exists()
     assert not (old / files.CERTIFICATE).exists(), "else it would look whole"
     monkeypatch.undo()

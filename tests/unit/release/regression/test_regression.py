@@ -343,18 +343,15 @@ def test_the_export_says_what_fails_and_writes_both_files(
     assert list(read_scenarios(tmp_path / "few" / "two_corners_failures.csv")) == ["1-worst"]
 
 
-def test_another_option_in_the_campaign_file_is_told(
-    run: Path, header: Header, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_option_in_the_campaign_file_is_named(header: Header) -> None:
     option = Option(name="gain", default=1.0, doc="")
     spec_with = header.spec.model_copy(update={"options": (option,)})
     chosen = header.config.model_copy(update={"system": SystemChoice(name="any-function", gain=2.0)})
-    monkeypatch.setattr(exports, "load_campaign", lambda _: chosen)
     other = Header.new(header.config, spec_with, {}, run="0" * 16)
-    (line,) = exports.differing_options(other, Path("cars.toml"))
+    (line,) = exports.differing_options(other, Path("cars.toml"), chosen)
     assert line == "cars.toml has gain = 2.0, and 1.0 in the run: the tests replay what is in the file"
     same = Header.new(chosen, spec_with, {}, run="0" * 16)
-    assert exports.differing_options(same, Path("cars.toml")) == []
+    assert exports.differing_options(same, Path("cars.toml"), chosen) == []
 
 
 def test_a_failure_at_another_moment_is_no_step_towards_the_nearest_one(header: Header) -> None:

@@ -1,5 +1,6 @@
 """The safety case: its numbers are those of the certificate, its argument is well formed, its document short."""
 
+import itertools
 import re
 import shutil
 from collections.abc import Callable
@@ -19,7 +20,7 @@ from perfbound.orchestrator.certificate.words.bound_text import outward
 from perfbound.orchestrator.release.safety_case.argument import Element, argument, to_yaml
 from perfbound.orchestrator.release.safety_case.case import Named, SafetyCase, safety_case
 from perfbound.orchestrator.release.safety_case.document import MOST_PAGES, text_pages, to_pdf, wrapped
-from perfbound.orchestrator.release.safety_case.drawing import drawing
+from perfbound.orchestrator.release.safety_case.drawing import drawing, placed
 from perfbound.orchestrator.release.safety_case.files import PDF, SVG, YAML, case_files
 from perfbound.orchestrator.release.safety_case.judges import BY_JUDGE, OF_FORMS, judge_of
 from perfbound.schemas.errors import EvidenceError
@@ -198,7 +199,7 @@ def test_what_is_refuted_is_marked(violated: SafetyCase) -> None:
     assert broken.id in tested.text
 
 
-def test_every_assumption_has_somebody_who_can_judge_it() -> None:
+def test_every_assumption_has_a_judge() -> None:
     judged = [name for names in BY_JUDGE.values() for name in names]
     assert sorted(judged) == sorted(STATEMENTS)
     assert judge_of("simulator_is_the_system") != judge_of("simulator_is_the_system", "measured_system")
@@ -278,3 +279,6 @@ def test_no_two_boxes_of_the_drawing_overlap(cases: dict[str, SafetyCase]) -> No
             x, y = each.get_position()
             assert 0 <= x <= width
             assert 0 <= y <= height
+        for one, other in itertools.combinations(placed(elements), 2):
+            beside = abs(one.x - other.x) >= (one.width + other.width) / 2
+            assert beside or one.bottom <= other.y or other.bottom <= one.y, (one.element.id, other.element.id)
