@@ -61,5 +61,9 @@ def export_case(directory: Path, wanted: Wanted, report: Report) -> list[str]:
         content = Content(directory, case, checks, wanted.signers, wanted.trajectories)
         number = write_bundle(wanted.bundle, content, key, report)
         command = f"perfbound verify {shlex.quote(str(wanted.bundle))}"
+        if key is not None and wanted.signers:
+            command += f" --key {shlex.quote(str(wanted.signers[0]))}"
         lines.append(f"{wanted.bundle}  {counted(number, 'file')}; to check it anywhere: {command}")
+        if key is None:
+            lines.append("Its list is not signed, so that its report could be changed: --sign KEY signs it.")
     return lines

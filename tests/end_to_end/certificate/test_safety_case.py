@@ -33,6 +33,8 @@ def test_a_bundle_verifies_on_another_machine_and_a_changed_one_does_not(started
         "safety-case.svg",
         "safety-case.yaml",
     }
+    assert "to check it anywhere: perfbound verify run.zip --key alice.pub" in made.out
+    assert "not signed" not in made.out
     shutil.rmtree(started.folder / "run")
     verify = ("perfbound", "verify", "run.zip", "--key", "alice.pub")
     verified = started.run(*verify)
@@ -50,7 +52,9 @@ def test_a_bundle_verifies_on_another_machine_and_a_changed_one_does_not(started
 @pytest.mark.journey
 def test_digests_alone_verify_the_signature_and_say_what_they_do_not(started: Processes) -> None:
     shutil.copytree(SAMPLE, started.folder / "run")
-    assert started.run("perfbound", "export", "run", "--bundle", "run.zip", "--digests").code == 0
+    made = started.run("perfbound", "export", "run", "--bundle", "run.zip", "--digests")
+    assert made.code == 0
+    assert "Its list is not signed" in made.out
     found = started.run("perfbound", "verify", "run.zip")
     assert found.code == 0
     assert "what follows from the trajectories, which are not here, were not checked" in " ".join(found.out.split())
